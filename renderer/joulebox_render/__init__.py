@@ -1,0 +1,3 @@
+"""Photon mapping renderer of joulebox."""
+
+__version__ = "0.1.0"

@@ -1,0 +1,269 @@
+"""The command `joulebox-render`."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from joulebox_render import __version__
+from joulebox_render.errors import RenderError, SettingsError
+from joulebox_render.settings import Settings, make_settings, parse_assignments, read_settings_file, settings_schema
+
+app = typer.Typer(
+    no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
+    help="Photon mapping renderer of joulebox: what a picture costs, stage by stage.",
+)  # fmt: skip
+scenes_app = typer.Typer(no_args_is_help=True, help="The scenes shipped with the renderer, and checks of others.")
+app.add_typer(scenes_app, name="scenes")
+messages = Console(stderr=True)
+
+SceneArgument = Annotated[str, typer.Argument(help="Folder with scene.xml, an .xml file, or the name of a shipped scene.")]
+SetOption = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A setting; may repeat.")]
+FileOption = Annotated[Path | None, typer.Option("--settings", help="JSON or TOML file of settings.")]
+PresetOption = Annotated[str | None, typer.Option("--preset", help="draft, balanced, fine or reference.")]
+DefineOption = Annotated[list[str] | None, typer.Option("-D", metavar="NAME=VALUE", help="A scene parameter.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
+
+@app.command()
+def render(
+    scene: SceneArgument,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Float EXR picture to write.")] = None,
+    png: Annotated[Path | None, typer.Option("--png", help="8-bit sRGB picture to write.")] = None,
+    report: Annotated[Path | None, typer.Option("--report", help="JSON report to write.")] = None,
+    set_: SetOption = None,
+    settings: FileOption = None,
+    preset: PresetOption = None,
+    define: DefineOption = None,
+    json_: JsonOption = False,
+) -> None:
+    """Render one picture and say where its time went."""
+    from joulebox_render.images import write_exr, write_png
+
+    chosen = _settings(set_, settings, preset)
+    if not (output or png or report or json_):
+        raise SettingsError("nothing would be kept of this render: give -o picture.exr, --png, --report or --json")
+    with _session(scene, chosen, define) as session:
+        for note in session.scene.notes:
+            messages.print(f"note: {note}", style="dim", highlight=False)
+        columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"))
+        with Progress(*columns, TimeRemainingColumn(), console=messages, transient=True) as bar:
+            task = bar.add_task(f"rendering {session.scene.name}", total=1.0)
+            image = session.render(progress=lambda share: bar.update(task, completed=share))
+        document = session.report(image)
+        if output:
+            write_exr(output, image.pixels, {"joulebox:pixel_sha256": image.pixel_sha256})
+        if png:
+            write_png(png, image.pixels, session.settings.exposure)
+    if report:
+        write_text(report, json.dumps(document, indent=1) + "\n")
+    for note in image.notes:
+        messages.print(f"note: {note}", style="yellow", highlight=False)
+    if json_:
+        print(json.dumps(document, indent=1))
+    else:
+        _print_report(document)
+
+
+@app.command()
+def loop(
+    scene: SceneArgument,
+    max_images: Annotated[int | None, typer.Option("--max-images", min=1, help="End after so many images.")] = None,
+    max_seconds: Annotated[
+        float | None, typer.Option("--max-seconds", min=0.0, help="Start no image later than this [s].")
+    ] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="EXR for the last image.")] = None,
+    set_: SetOption = None,
+    settings: FileOption = None,
+    preset: PresetOption = None,
+    define: DefineOption = None,
+) -> None:
+    """Render again and again, writing JSON lines (ready, stage, image, done) for an energy meter."""
+    from joulebox_render.loop import run_loop
+
+    stop_asked: list[int] = []
+    for name in ("SIGTERM", "SIGINT"):
+        signal.signal(getattr(signal, name), lambda number, _frame: stop_asked.append(number))
+    with _session(scene, _settings(set_, settings, preset), define) as session:
+        run_loop(session, sys.stdout, max_images, max_seconds, output, lambda: bool(stop_asked))
+
+
+@app.command()
+def plan(
+    scene: SceneArgument,
+    set_: SetOption = None,
+    settings: FileOption = None,
+    preset: PresetOption = None,
+    define: DefineOption = None,
+    json_: JsonOption = False,
+) -> None:
+    """Which stages and maps a scene needs, and why the others are left out."""
+    from joulebox_render.plan import make_plan
+    from joulebox_render.scene import load_scene
+
+    needed = make_plan(load_scene(scene, _defines(define)), _settings(set_, settings, preset))
+    if json_:
+        print(json.dumps({"run": needed.run, "left_out": needed.left_out}, indent=1))
+        return
+    table = Table("stage or map", "runs", "why not")
+    for name in needed.run:
+        table.add_row(name, "yes", "")
+    for name, why in needed.left_out.items():
+        table.add_row(name, "no", why)
+    Console().print(table)
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON Schema of the settings."""
+    print(json.dumps(settings_schema(), indent=1))
+
+
+@app.command("warm-up")
+def warm_up() -> None:
+    """Compile every kernel once; later commands start at once."""
+    from joulebox_render.kernels import compilation
+
+    if compilation.is_compiled():
+        messages.print("kernels are compiled")
+        return
+    _compile_all()
+
+
+@scenes_app.command("list")
+def scenes_list(json_: JsonOption = False) -> None:
+    """The shipped scenes."""
+    from joulebox_render.scene import list_scenes
+
+    entries = list_scenes()
+    if json_:
+        print(json.dumps([{"name": e.name, "path": str(e.path), "title": e.title} for e in entries], indent=1))
+        return
+    table = Table("scene", "what it is")
+    for entry in entries:
+        table.add_row(entry.name, entry.title)
+    Console().print(table)
+
+
+@scenes_app.command("show")
+def scenes_show(scene: SceneArgument, define: DefineOption = None, json_: JsonOption = False) -> None:
+    """What a scene holds."""
+    from joulebox_render.scene import load_scene
+
+    loaded = load_scene(scene, _defines(define))
+    facts: dict[str, Any] = {
+        "scene": loaded.name, "folder": str(loaded.folder), "scene_sha256": loaded.sha256,
+        "width": loaded.film_width, "height": loaded.film_height, "triangles": len(loaded.triangles),
+        "spheres_and_disks": len(loaded.analytic_kind), "materials": len(loaded.materials.kind),
+        "lights": len(loaded.lights.kind), "light_power_w": loaded.lights.power.sum(axis=0).tolist(),
+        "notes": list(loaded.notes),
+    }  # fmt: skip
+    if json_:
+        print(json.dumps(facts, indent=1))
+        return
+    table = Table(show_header=False)
+    for name, value in facts.items():
+        table.add_row(name, "\n".join(value) if name == "notes" else str(value))
+    Console().print(table)
+
+
+@scenes_app.command("check")
+def scenes_check(scene: SceneArgument, define: DefineOption = None, json_: JsonOption = False) -> None:
+    """Whether a scene can be rendered; says what is wrong, where, and what would be right."""
+    from joulebox_render.scene import load_scene
+
+    loaded = load_scene(scene, _defines(define))
+    if json_:
+        print(json.dumps({"scene": loaded.name, "usable": True, "notes": list(loaded.notes)}, indent=1))
+        return
+    print(f"{loaded.name} can be rendered")
+    for note in loaded.notes:
+        print(f"note: {note}")
+
+
+@app.callback(invoke_without_command=True)
+def _version(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
+    if version:
+        print(f"joulebox-render {__version__}")
+        raise typer.Exit
+
+
+def _settings(assignments: list[str] | None, file: Path | None, preset: str | None) -> Settings:
+    """Settings from the command line: the file over the preset, --set over both."""
+    layers: list[dict[str, Any]] = [{"preset": preset}] if preset else []
+    if file:
+        layers.append(read_settings_file(file))
+    return make_settings(*layers, parse_assignments(assignments or []))
+
+
+def _defines(assignments: list[str] | None) -> dict[str, str]:
+    pairs = [text.partition("=") for text in assignments or []]
+    for name, equals, _ in pairs:
+        if not name or not equals:
+            raise SettingsError(f"'-D {name}' is not of the form name=value, such as -D detail=948")
+    return {name: value for name, _, value in pairs}
+
+
+def _session(scene: str, settings: Settings, define: list[str] | None) -> Any:
+    """A session, after a word about compiling where that takes a while."""
+    from joulebox_render.kernels import compilation
+
+    if not compilation.is_compiled():
+        _compile_all()
+    from joulebox_render.session import Session
+
+    return Session(scene, settings, _defines(define))
+
+
+def _compile_all() -> None:
+    """Compile every kernel by rendering miniatures of scenes and settings that need them all."""
+    from joulebox_render.kernels import compilation
+    from joulebox_render.scene import list_scenes
+    from joulebox_render.session import Session
+
+    messages.print("compiling the renderer's kernels for this machine (once, about a minute) ...", highlight=False)
+    names = {entry.name for entry in list_scenes()}
+    for settings in ({}, {"photon_spacing": 0, "indirect": "direct_visualization"}, {"indirect": "path"}):
+        if "cornell-spheres" in names:
+            with Session("cornell-spheres", make_settings(settings)):
+                pass
+    compilation.mark_compiled()
+
+
+def _print_report(document: dict[str, Any]) -> None:
+    image = document["image"]
+    table = Table("stage", "time s", "CPU s", "rays", title=f"{document['scene']}  {image['width']}x{image['height']}")
+    for name, row in document["stages"].items():
+        table.add_row(name, f"{row['time_s']:.3f}", f"{row['cpu_s']:.3f}", f"{row['rays']:,}")
+    table.add_row("image", f"{image['time_s']:.3f}", f"{image['cpu_s']:.3f}", "")
+    Console().print(table)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file; RenderError where that fails."""
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise RenderError(f"{path} cannot be written: {error.strerror}") from None
+
+
+def main() -> None:
+    """Entry point: errors of ours become one sentence and an exit code."""
+    try:
+        app()
+    except RenderError as error:
+        print(f"joulebox-render: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
+    except BrokenPipeError:
+        # The reader has gone; point stdout at nothing so that the interpreter's last flush stays quiet.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)

@@ -1,0 +1,56 @@
+"""Ray queries: Embree for triangles, closed forms for spheres and disks, behind one interface.
+
+Embree is called through embreex in batches; it and the kernels release the GIL, so threads of the worker pool
+trace at the same time. A query's answer does not depend on the batch it was asked in.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+
+from joulebox_render.kernels.surface import closest_analytic, merge_embree_hits, occluded_analytic
+from joulebox_render.records import F4, U1, Hits
+from joulebox_render.tables import SceneTables
+
+NAME = "embree"
+FAR = np.float32(1e30)
+
+
+class Intersector:
+    """The acceleration structure of one scene."""
+
+    def __init__(self, tables: SceneTables) -> None:
+        self.tables = tables
+        self._embree = None
+        if len(tables.triangles):
+            self._embree = EmbreeScene(robust=True)
+            TriangleMesh(self._embree, tables.vertices, tables.triangles)
+            # Embree commits on the first query, which must not happen on two threads at once.
+            self.closest(np.zeros((1, 3), np.float32), np.array([[0, 0, 1]], np.float32))
+
+    def closest(self, origin: F4, direction: F4) -> Hits:
+        """Nearest hit of each ray; origin and direction (N, 3) f4, directions unit."""
+        count = len(origin)
+        distance = np.full(count, FAR, np.float32)
+        primitive = np.full(count, -1, np.int32)
+        u = v = np.zeros(count, np.float32)
+        if self._embree is not None and count:
+            answer = self._embree.run(origin, direction, query="INTERSECT", output=True)
+            merge_embree_hits(answer["tfar"], answer["primID"], distance, primitive, FAR)
+            u, v = answer["u"], answer["v"]
+        if len(self.tables.analytic_kind):
+            closest_analytic(self.tables, origin, direction, distance, primitive)
+        return Hits(distance, primitive, u, v)
+
+    def occluded(self, origin: F4, direction: F4, limit: F4) -> U1:
+        """1 where anything lies on the ray nearer than `limit` (N,) f4 [m], which is not overwritten."""
+        count = len(origin)
+        blocked = np.zeros(count, np.uint8)
+        if self._embree is not None and count:
+            answer = self._embree.run(origin, direction, dists=limit.copy(), query="OCCLUDED")
+            blocked = (answer >= 0).view(np.uint8)
+        if len(self.tables.analytic_kind):
+            occluded_analytic(self.tables, origin, direction, limit, blocked)
+        return blocked

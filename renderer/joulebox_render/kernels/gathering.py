@@ -1,0 +1,98 @@
+"""Irradiance from photons: density estimates, and look-ups of estimates made before."""
+
+import math
+
+import numpy as np
+
+from joulebox_render.kernels.compilation import device, kernel
+from joulebox_render.kernels.kdtree import nearest_points
+
+CONSTANT, CONE, EPANECHNIKOV = 0, 1, 2
+# Jensen's cone filter falls to 1 - 1 / CONE_STEEPNESS at the edge of the disc.
+CONE_STEEPNESS = 1.1
+
+
+@device
+def kernel_weight(kind, share2):
+    """Weight of a photon at squared relative distance share2 in [0, 1]; its mean over the unit disc is 1."""
+    if kind == CONE:
+        return (1.0 - math.sqrt(share2) / CONE_STEEPNESS) / (1.0 - 2.0 / (3.0 * CONE_STEEPNESS))
+    if kind == EPANECHNIKOV:
+        return 2.0 * (1.0 - share2)
+    return 1.0
+
+
+@kernel
+def estimate_irradiance(tree, flux, position, normal, k, reach, cos_limit, filter_kind, stack, irradiance):
+    """Irradiance at points from their nearest photons [W m^-2].
+
+    E = sum_p w(d_p / r) flux_p / (pi r^2)
+
+    flux (P, 3) f4 in the tree's order [W], already divided by the number emitted; position, normal (Q, 3) f4;
+    k nearest within `reach` [m]; irradiance (Q, 3) f4 is overwritten. Where k photons are found, r is the
+    distance of the k-th and the sum leaves that one out: with it, the estimate would be too large by
+    k / (k - 1) in the mean. With fewer, r is `reach`. Near edges the disc hangs over the surface and the
+    estimate is too dark (boundary bias). Source: Jensen 1996, eq. 5; Jensen 2001, section 7.2.
+    """
+    distance2 = np.empty(k, np.float32)
+    index = np.empty(k, np.int32)
+    for q in range(position.shape[0]):
+        x, y, z = position[q]
+        nx, ny, nz = normal[q]
+        found = nearest_points(
+            tree, x, y, z, nx, ny, nz, cos_limit, reach * reach, k, distance2, index, stack
+        )
+        first, radius2 = 0, np.float64(reach) * reach
+        if found == k:
+            first, radius2 = 1, np.float64(distance2[0])
+        red, green, blue = 0.0, 0.0, 0.0
+        if radius2 > 0.0:
+            for i in range(first, found):
+                weight = kernel_weight(filter_kind, distance2[i] / radius2)
+                row = index[i]
+                red += weight * flux[row, 0]
+                green += weight * flux[row, 1]
+                blue += weight * flux[row, 2]
+            scale = 1.0 / (math.pi * radius2)
+            red, green, blue = red * scale, green * scale, blue * scale
+        irradiance[q, 0], irradiance[q, 1], irradiance[q, 2] = red, green, blue
+
+
+@kernel
+def nearest_irradiance(tree, records, position, normal, reach, cos_limit, stack, irradiance):
+    """Irradiance of the record nearest to each point, 0 where none lies within `reach` [m].
+
+    records (R, 3) f4 in the tree's order [W m^-2]; irradiance (Q, 3) f4 is overwritten.
+    Source: Christensen 1999.
+    """
+    distance2 = np.empty(1, np.float32)
+    index = np.empty(1, np.int32)
+    for q in range(position.shape[0]):
+        x, y, z = position[q]
+        nx, ny, nz = normal[q]
+        found = nearest_points(
+            tree, x, y, z, nx, ny, nz, cos_limit, reach * reach, 1, distance2, index, stack
+        )
+        for c in range(3):
+            irradiance[q, c] = records[index[0], c] if found else 0.0
+
+
+@kernel
+def reflect_irradiance(points, irradiance, radiance):
+    """Add weight x albedo / pi x irradiance of each point to its owner, in the points' order.
+
+    radiance (owners, 3) f8.
+    """
+    for q in range(points.owner.shape[0]):
+        owner = points.owner[q]
+        for c in range(3):
+            radiance[owner, c] += points.weight[q, c] * points.albedo[q, c] * irradiance[q, c] / math.pi
+
+
+@kernel
+def add_weighted(points, value, radiance):
+    """Add weight x value of each point to its owner, in the points' order; value (Q, 3), radiance (owners, 3) f8."""
+    for q in range(points.owner.shape[0]):
+        owner = points.owner[q]
+        for c in range(3):
+            radiance[owner, c] += points.weight[q, c] * value[q, c]

@@ -1,0 +1,127 @@
+"""Where rays meet surfaces: analytic shapes, and what is known of the surface at a hit.
+
+`tables` is the named tuple `SceneTables` of tables.py; primitives count triangles first, then analytic shapes.
+"""
+
+import math
+
+import numpy as np
+
+from joulebox_render.kernels.compilation import device, kernel
+from joulebox_render.kernels.vector import normalized
+
+SPHERE = 0
+
+
+@device
+def analytic_distance(tables, shape, ox, oy, oz, dx, dy, dz):
+    """Distance along a ray to one analytic shape, -1 where it misses; the direction is a unit vector.
+
+    The sphere's roots are found from the point of the ray nearest to the centre, which keeps float32 origins far
+    from a small sphere exact enough (Hearn & Baker's form, as in Ray Tracing Gems, ch. 7).
+    """
+    cx = ox - tables.analytic_center[shape, 0]
+    cy = oy - tables.analytic_center[shape, 1]
+    cz = oz - tables.analytic_center[shape, 2]
+    radius = tables.analytic_radius[shape]
+    if tables.analytic_kind[shape] == SPHERE:
+        along = cx * dx + cy * dy + cz * dz
+        px, py, pz = cx - along * dx, cy - along * dy, cz - along * dz
+        discriminant = radius * radius - (px * px + py * py + pz * pz)
+        if discriminant < 0.0:
+            return -1.0
+        half = math.sqrt(discriminant)
+        near = -along - half
+        return near if near > 0.0 else -along + half
+    nx, ny, nz = tables.analytic_normal[shape]
+    slope = nx * dx + ny * dy + nz * dz
+    if slope == 0.0:
+        return -1.0
+    distance = -(nx * cx + ny * cy + nz * cz) / slope
+    px, py, pz = cx + distance * dx, cy + distance * dy, cz + distance * dz
+    return distance if px * px + py * py + pz * pz <= radius * radius else -1.0
+
+
+@kernel
+def closest_analytic(tables, origin, direction, distance, primitive):
+    """Replace hits by analytic shapes that are nearer.
+
+    origin, direction (N, 3) f4; distance (N,) f4 and primitive (N,) i4 of the nearest hit so far, overwritten.
+    """
+    triangle_count = tables.triangles.shape[0]
+    for i in range(origin.shape[0]):
+        ox, oy, oz = origin[i]
+        dx, dy, dz = direction[i]
+        for shape in range(tables.analytic_kind.shape[0]):
+            t = analytic_distance(tables, shape, ox, oy, oz, dx, dy, dz)
+            if 0.0 < t < distance[i]:
+                distance[i] = t
+                primitive[i] = triangle_count + shape
+
+
+@kernel
+def occluded_analytic(tables, origin, direction, limit, blocked):
+    """Mark rays that an analytic shape blocks before `limit`; blocked (N,) u1 is or-ed into."""
+    for i in range(origin.shape[0]):
+        if blocked[i]:
+            continue
+        ox, oy, oz = origin[i]
+        dx, dy, dz = direction[i]
+        for shape in range(tables.analytic_kind.shape[0]):
+            t = analytic_distance(tables, shape, ox, oy, oz, dx, dy, dz)
+            if 0.0 < t < limit[i]:
+                blocked[i] = 1
+                break
+
+
+@device
+def surface_normals(tables, primitive, px, py, pz, u, v):
+    """Geometric and shading normal at a point of a primitive, both unit and on its front side."""
+    triangle_count = tables.triangles.shape[0]
+    if primitive >= triangle_count:
+        shape = primitive - triangle_count
+        nx, ny, nz = tables.analytic_normal[shape]
+        if tables.analytic_kind[shape] == SPHERE:
+            side = nx
+            nx, ny, nz = normalized(
+                side * (px - tables.analytic_center[shape, 0]),
+                side * (py - tables.analytic_center[shape, 1]),
+                side * (pz - tables.analytic_center[shape, 2]),
+            )
+        return nx, ny, nz, nx, ny, nz
+    gx, gy, gz = tables.face_normals[primitive]
+    c = tables.corner_normals[primitive]
+    w = 1.0 - u - v
+    sx, sy, sz = normalized(
+        w * c[0, 0] + u * c[1, 0] + v * c[2, 0],
+        w * c[0, 1] + u * c[1, 1] + v * c[2, 1],
+        w * c[0, 2] + u * c[1, 2] + v * c[2, 2],
+    )
+    return gx, gy, gz, sx, sy, sz
+
+
+@device
+def face_forward(gx, gy, gz, sx, sy, sz, dx, dy, dz):
+    """Turn both normals against the direction of travel; the first result is 1 on the front, 0 on the back.
+
+    A shading normal that ends on the far side of the ray is replaced by the geometric one.
+    """
+    front = 1
+    if gx * dx + gy * dy + gz * dz > 0.0:
+        front = 0
+        gx, gy, gz, sx, sy, sz = -gx, -gy, -gz, -sx, -sy, -sz
+    if sx * dx + sy * dy + sz * dz > -1e-4:
+        sx, sy, sz = gx, gy, gz
+    return front, gx, gy, gz, sx, sy, sz
+
+
+@kernel
+def merge_embree_hits(embree_distance, embree_primitive, distance, primitive, far):
+    """Copy Embree's answer, turning its misses into distance `far` and primitive -1."""
+    for i in range(distance.shape[0]):
+        if embree_primitive[i] < 0:
+            distance[i] = far
+            primitive[i] = -1
+        else:
+            distance[i] = embree_distance[i]
+            primitive[i] = np.int32(embree_primitive[i])

@@ -1,0 +1,223 @@
+"""Paths from the eye and into the scene: camera rays, and what a ray does where it hits."""
+
+import math
+
+import numpy as np
+
+from joulebox_render.kernels.compilation import device, kernel
+from joulebox_render.kernels.rng import child_key, path_key, sample_2d, uniform
+from joulebox_render.kernels.surface import face_forward, surface_normals
+from joulebox_render.kernels.vector import cosine_direction, fresnel, reflected, refracted
+
+DIFFUSE, MIRROR, GLASS = 0, 1, 2
+CAMERA_STREAM = 1
+GATHER_BRANCH = 100
+# A glass hit follows both branches while the weaker one still carries this much of the pixel: rays are cheap, and
+# a light seen through several weak reflections is a bright dot where one branch is drawn at random.
+SPLIT_WEIGHT = 0.001
+# Lighting a point costs a hundred rays; those that count less than this are kept in proportion to what they count.
+POINT_WEIGHT = 0.05
+
+
+@kernel
+def camera_rays(seed, first_pixel, samples, columns, jitter, width, height, frame, near, origin, direction, key):
+    """Rays through pixels first_pixel ...: `samples` a pixel, in raster order, then sample order.
+
+    frame (4, 3) f8: camera position, then the world vectors of film x (towards the right edge), film y (towards
+    the bottom edge), and the view axis, so that a film position in [-1, 1]^2 maps to axis + x right + y down.
+    Without jitter, samples sit at the centres of their strata.
+    """
+    for i in range(origin.shape[0]):
+        pixel = first_pixel + i // samples
+        sample = i % samples
+        pixel_key = path_key(seed, CAMERA_STREAM, pixel)
+        if jitter:
+            u, v = sample_2d(pixel_key, 1, sample, samples, columns)
+        elif columns > 0:
+            u = (sample % columns + 0.5) / columns
+            v = (sample // columns + 0.5) / (samples // columns)
+        else:
+            step = np.int64(samples * 0.6180339887498949) | 1
+            u, v = (sample + 0.5) / samples, ((sample * step) % samples + 0.5) / samples
+        x = 2.0 * (pixel % width + u) / width - 1.0
+        y = 2.0 * (pixel // width + v) / height - 1.0
+        dx = frame[3, 0] + x * frame[1, 0] + y * frame[2, 0]
+        dy = frame[3, 1] + x * frame[1, 1] + y * frame[2, 1]
+        dz = frame[3, 2] + x * frame[1, 2] + y * frame[2, 2]
+        for c in range(3):
+            origin[i, c] = frame[0, c]
+        scale = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
+        direction[i, 0], direction[i, 1], direction[i, 2] = dx * scale, dy * scale, dz * scale
+        origin[i, 0] += near * dx
+        origin[i, 1] += near * dy
+        origin[i, 2] += near * dz
+        key[i] = child_key(pixel_key, sample)
+
+
+@device
+def push_ray(rays, row, px, py, pz, dx, dy, dz, wx, wy, wz, owner, key):
+    """Write one ray into row `row` of a queue."""
+    rays.origin[row, 0], rays.origin[row, 1], rays.origin[row, 2] = px, py, pz
+    rays.direction[row, 0], rays.direction[row, 1], rays.direction[row, 2] = dx, dy, dz
+    rays.weight[row, 0], rays.weight[row, 1], rays.weight[row, 2] = wx, wy, wz
+    rays.owner[row] = owner
+    rays.key[row] = key
+
+
+@device
+def glass_bounce(tables, material, front, dx, dy, dz, gx, gy, gz, sx, sy, sz):
+    """Both ways on from a smooth dielectric: (reflectance, reflected direction, refracted direction, eta)."""
+    ior = tables.material_ior[material]
+    eta = 1.0 / ior if front else ior
+    cos_i = min(1.0, -(dx * sx + dy * sy + dz * sz))
+    reflectance, cos_t = fresnel(cos_i, eta)
+    rx, ry, rz = reflected(dx, dy, dz, sx, sy, sz)
+    tx, ty, tz = dx, dy, dz
+    if reflectance < 1.0:
+        tx, ty, tz = refracted(dx, dy, dz, sx, sy, sz, cos_i, cos_t, eta)
+    return reflectance, rx, ry, rz, tx, ty, tz, eta
+
+
+@kernel
+def advance(tables, split, emission, rays, hits, radiance, points, following):
+    """One step of paths through mirrors and glass until they meet a diffuse surface.
+
+    split      glass follows both branches where they still matter, else one, chosen by Fresnel reflectance;
+               points that count for little are then subject to Russian roulette
+    emission   whether light emitted at these hits counts for the rays' owners
+    rays       Rays that were traced; hits what they met
+    radiance   (owners, 3) f8, added to where `emission`
+    points     Points, overwritten: the diffuse hits (weight = what they count for their owner)
+    following  Rays, overwritten (room for 2 N when split): the specular paths that go on
+    Returns (points written, rays written), both in the order of the rays.
+
+    Refraction scales radiance by the square of the ratio of indices (Veach 1997, section 5.2), which cancels
+    for paths that leave the glass again.
+    """
+    epsilon = tables.epsilon[0]
+    point_count, ray_count = 0, 0
+    for i in range(rays.origin.shape[0]):
+        primitive = hits.primitive[i]
+        if primitive < 0:
+            continue
+        dx, dy, dz = rays.direction[i]
+        t = hits.distance[i]
+        px, py, pz = rays.origin[i, 0] + t * dx, rays.origin[i, 1] + t * dy, rays.origin[i, 2] + t * dz
+        gx, gy, gz, sx, sy, sz = surface_normals(tables, primitive, px, py, pz, hits.u[i], hits.v[i])
+        front, gx, gy, gz, sx, sy, sz = face_forward(gx, gy, gz, sx, sy, sz, dx, dy, dz)
+        wx, wy, wz = rays.weight[i]
+        owner, key = rays.owner[i], rays.key[i]
+        light = tables.light[primitive]
+        if emission and light >= 0 and front:
+            radiance[owner, 0] += wx * tables.light_radiance[light, 0]
+            radiance[owner, 1] += wy * tables.light_radiance[light, 1]
+            radiance[owner, 2] += wz * tables.light_radiance[light, 2]
+        material = tables.material[primitive]
+        kind = tables.material_kind[material]
+        ax, ay, az = tables.material_albedo[material]
+        ex, ey, ez = epsilon * gx, epsilon * gy, epsilon * gz
+        if kind == DIFFUSE:
+            weight = max(wx, wy, wz)
+            if split and weight < POINT_WEIGHT:
+                if uniform(key, 1) * POINT_WEIGHT >= weight:
+                    continue
+                wx, wy, wz = wx * POINT_WEIGHT / weight, wy * POINT_WEIGHT / weight, wz * POINT_WEIGHT / weight
+            if front or tables.material_two_sided[material]:
+                points.position[point_count, 0] = px + ex
+                points.position[point_count, 1] = py + ey
+                points.position[point_count, 2] = pz + ez
+                points.normal[point_count, 0], points.normal[point_count, 1] = sx, sy
+                points.normal[point_count, 2] = sz
+                points.geometric[point_count, 0], points.geometric[point_count, 1] = gx, gy
+                points.geometric[point_count, 2] = gz
+                points.albedo[point_count, 0], points.albedo[point_count, 1] = ax, ay
+                points.albedo[point_count, 2] = az
+                points.weight[point_count, 0], points.weight[point_count, 1] = wx, wy
+                points.weight[point_count, 2] = wz
+                points.owner[point_count] = owner
+                points.key[point_count] = key
+                points.distance[point_count] = t
+                point_count += 1
+        elif kind == MIRROR:
+            if front or tables.material_two_sided[material]:
+                rx, ry, rz = reflected(dx, dy, dz, sx, sy, sz)
+                push_ray(
+                    following, ray_count, px + ex, py + ey, pz + ez, rx, ry, rz,
+                    wx * ax, wy * ay, wz * az, owner, child_key(key, 0),
+                )  # fmt: skip
+                ray_count += 1
+        elif kind == GLASS:
+            share, rx, ry, rz, tx, ty, tz, eta = glass_bounce(
+                tables, material, front, dx, dy, dz, gx, gy, gz, sx, sy, sz
+            )
+            weight = max(wx, wy, wz)
+            both = split and weight * min(share, 1.0 - share) > SPLIT_WEIGHT
+            reflect = both or uniform(key, 0) < share
+            scale = share if both else 1.0
+            if reflect:
+                push_ray(
+                    following, ray_count, px + ex, py + ey, pz + ez, rx, ry, rz,
+                    wx * scale, wy * scale, wz * scale, owner, child_key(key, 0),
+                )  # fmt: skip
+                ray_count += 1
+            if both or not reflect:
+                scale = eta * eta * (1.0 - share if both else 1.0)
+                push_ray(
+                    following, ray_count, px - ex, py - ey, pz - ez, tx, ty, tz,
+                    wx * scale, wy * scale, wz * scale, owner, child_key(key, 1),
+                )  # fmt: skip
+                ray_count += 1
+    return point_count, ray_count
+
+
+@kernel
+def gather_rays(points, first, last, count, columns, rays):
+    """Cosine-distributed rays into the hemisphere over points [first, last), `count` a point.
+
+    Each ray's weight is albedo / count, so that the mean of weight x incident radiance is the reflected
+    radiance; owner is the point's row counted from `first`. rays is overwritten. Source: Jensen 2001, eq. 8.6.
+    """
+    row = 0
+    for point in range(first, last):
+        px, py, pz = points.position[point]
+        nx, ny, nz = points.normal[point]
+        ax, ay, az = points.albedo[point]
+        key = child_key(points.key[point], GATHER_BRANCH)
+        for i in range(count):
+            u, v = sample_2d(key, 1, i, count, columns)
+            dx, dy, dz = cosine_direction(nx, ny, nz, u, v)
+            push_ray(
+                rays, row, px, py, pz, dx, dy, dz,
+                ax / count, ay / count, az / count, point - first, child_key(key, i),
+            )  # fmt: skip
+            row += 1
+
+
+@kernel
+def continue_paths(points, bounce, rays):
+    """Extend paths from diffuse points by one cosine-distributed ray, with Russian roulette after two bounces.
+
+    rays is overwritten, in the order of the points; returns how many go on. A ray's weight is the point's times
+    its albedo over the chance to go on.
+    """
+    row = 0
+    for point in range(points.owner.shape[0]):
+        key = child_key(points.key[point], GATHER_BRANCH)
+        wx = points.weight[point, 0] * points.albedo[point, 0]
+        wy = points.weight[point, 1] * points.albedo[point, 1]
+        wz = points.weight[point, 2] * points.albedo[point, 2]
+        chance = 1.0
+        if bounce >= 2:
+            before = max(points.weight[point, 0], points.weight[point, 1], points.weight[point, 2])
+            chance = min(0.95, max(wx, wy, wz) / before) if before > 0.0 else 0.0
+            if uniform(key, 0) >= chance:
+                continue
+        px, py, pz = points.position[point]
+        nx, ny, nz = points.normal[point]
+        dx, dy, dz = cosine_direction(nx, ny, nz, uniform(key, 1), uniform(key, 2))
+        push_ray(
+            rays, row, px, py, pz, dx, dy, dz,
+            wx / chance, wy / chance, wz / chance, points.owner[point], child_key(key, 0),
+        )  # fmt: skip
+        row += 1
+    return row

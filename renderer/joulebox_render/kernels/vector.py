@@ -1,0 +1,66 @@
+"""Vectors as three scalars: what kernels need of geometry and of smooth dielectrics."""
+
+import math
+
+from joulebox_render.kernels.compilation import device
+
+
+@device
+def normalized(x, y, z):
+    """The unit vector along (x, y, z)."""
+    scale = 1.0 / math.sqrt(x * x + y * y + z * z)
+    return x * scale, y * scale, z * scale
+
+
+@device
+def tangent_frame(nx, ny, nz):
+    """Two unit tangents that make a right-handed frame with a unit normal (Duff et al. 2017)."""
+    sign = 1.0 if nz >= 0.0 else -1.0
+    a = -1.0 / (sign + nz)
+    b = nx * ny * a
+    return 1.0 + sign * nx * nx * a, sign * b, -sign * nx, b, sign + ny * ny * a, -ny
+
+
+@device
+def from_frame(nx, ny, nz, x, y, z):
+    """World direction of local (x, y, z), z along the unit normal."""
+    sx, sy, sz, tx, ty, tz = tangent_frame(nx, ny, nz)
+    return sx * x + tx * y + nx * z, sy * x + ty * y + ny * z, sz * x + tz * y + nz * z
+
+
+@device
+def cosine_direction(nx, ny, nz, u, v):
+    """Direction about a unit normal with density cos / pi; u drives the polar angle, v the azimuth."""
+    r = math.sqrt(u)
+    phi = 2.0 * math.pi * v
+    return from_frame(nx, ny, nz, r * math.cos(phi), r * math.sin(phi), math.sqrt(max(0.0, 1.0 - u)))
+
+
+@device
+def reflected(dx, dy, dz, nx, ny, nz):
+    """Direction of travel (dx, dy, dz) after a mirror with unit normal n."""
+    d = 2.0 * (dx * nx + dy * ny + dz * nz)
+    return dx - d * nx, dy - d * ny, dz - d * nz
+
+
+@device
+def fresnel(cos_i, eta):
+    """Unpolarised reflectance of a smooth dielectric and the cosine of the refracted ray.
+
+    cos_i  cosine of incidence, >= 0;  eta  index on the incident side over index on the other.
+    Returns (1, 0) at total internal reflection.
+    """
+    sin2_t = eta * eta * max(0.0, 1.0 - cos_i * cos_i)
+    if sin2_t >= 1.0:
+        return 1.0, 0.0
+    cos_t = math.sqrt(1.0 - sin2_t)
+    parallel = (cos_i - eta * cos_t) / (cos_i + eta * cos_t)
+    perpendicular = (eta * cos_i - cos_t) / (eta * cos_i + cos_t)
+    return 0.5 * (parallel * parallel + perpendicular * perpendicular), cos_t
+
+
+@device
+def refracted(dx, dy, dz, nx, ny, nz, cos_i, cos_t, eta):
+    """Direction of travel after refraction; n is the unit normal on the incident side."""
+    a = eta * cos_i - cos_t
+    return normalized(eta * dx + a * nx, eta * dy + a * ny, eta * dz + a * nz)

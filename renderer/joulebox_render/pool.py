@@ -1,0 +1,46 @@
+"""The one thread pool, and how work is cut into chunks for it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from types import TracebackType
+from typing import TypeVar
+
+T = TypeVar("T")
+
+# Rays in flight per chunk: their arrays (about 60 bytes a ray) stay within a core's second-level cache.
+CHUNK_RAYS = 16_384
+
+
+def usable_cores() -> int:
+    """Cores this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class WorkerPool:
+    """Runs a chunk after another on threads; each chunk goes through Embree and serial kernels on one thread.
+
+    Results come back in the order of the chunks, so neither the number of threads nor which thread was faster
+    shows in a picture. `chunk_rays` is a parameter so that tests can show that the chunk size does not either.
+    """
+
+    def __init__(self, threads: int = 0, chunk_rays: int = CHUNK_RAYS) -> None:
+        self.threads = threads or usable_cores()
+        self.chunk_rays = chunk_rays
+        self._executor = ThreadPoolExecutor(self.threads, thread_name_prefix="render")
+
+    def map_chunks(self, work: Callable[[int, int], T], count: int, rays_per_item: int) -> Iterator[T]:
+        """work(first, last) over [0, count) in chunks of about `chunk_rays` rays; yields results in order."""
+        step = max(1, self.chunk_rays // max(1, rays_per_item))
+        ranges = [(first, min(first + step, count)) for first in range(0, count, step)]
+        return self._executor.map(lambda span: work(*span), ranges)
+
+    def __enter__(self) -> WorkerPool:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._executor.shutdown(wait=True, cancel_futures=True)

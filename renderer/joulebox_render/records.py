@@ -1,0 +1,234 @@
+"""The records that travel between stages: frozen dataclasses of arrays, one row an item.
+
+Lengths are in metres, directions unit vectors. `wi` and `wo` both point away from the surface. Arrays are
+C-contiguous; f4 is float32, i4 int32. A primitive index counts the triangles first, then the analytic shapes;
+-1 is a miss.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+F4 = npt.NDArray[np.float32]
+F8 = npt.NDArray[np.float64]
+I4 = npt.NDArray[np.int32]
+I8 = npt.NDArray[np.int64]
+I1 = npt.NDArray[np.int8]
+U1 = npt.NDArray[np.uint8]
+U8 = npt.NDArray[np.uint64]
+
+# Codes shared with the kernels, which import only numbers.
+DIFFUSE, MIRROR, GLASS, BLACK = 0, 1, 2, 3
+SPHERE, DISK = 0, 1
+POINT_LIGHT, SPOT_LIGHT, RECTANGLE_LIGHT, DISK_LIGHT, SPHERE_LIGHT, MESH_LIGHT = 0, 1, 2, 3, 4, 5
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Perspective camera in Mitsuba's convention: camera space looks along +z, +x points left, +y up.
+
+    to_world    (4, 4) f8  rigid transform (after normalising its columns), camera to world
+    fov_deg     full angle of view along `fov_axis`
+    fov_axis    "x" | "y" | "smaller" | "larger" | "diagonal"
+    near_m, far_m          clip distances along the view axis [m]
+    """
+
+    to_world: F8
+    fov_deg: float
+    fov_axis: str
+    near_m: float
+    far_m: float
+
+
+@dataclass(frozen=True)
+class Materials:
+    """One row a bsdf.
+
+    kind       (M,) i4  DIFFUSE | MIRROR | GLASS | BLACK (a bsdf that reflects nothing)
+    albedo     (M, 3) f4  diffuse reflectance, or specular reflectance of a mirror, 0..1, linear Rec.709
+    ior        (M,) f4  inside / outside index of refraction (glass), else 1
+    two_sided  (M,) u1  1: the back reflects too (Mitsuba's `twosided`); 0: the back of a diffuse surface is black
+    """
+
+    kind: I4
+    albedo: F4
+    ior: F4
+    two_sided: U1
+
+
+@dataclass(frozen=True)
+class Lights:
+    """One row a light (all triangles of an emitting mesh are one light).
+
+    kind       (L,) i4  POINT_LIGHT ... MESH_LIGHT
+    radiance   (L, 3) f4  emitted radiance [W m^-2 sr^-1] of area lights, intensity [W sr^-1] of point and spot
+    position   (L, 3) f4  point/spot: position; rectangle: centre; disk and sphere: centre
+    edge_u, edge_v (L, 3) f4  rectangle: half edges, so corners are position +-edge_u +-edge_v; disk: radius vectors
+    normal     (L, 3) f4  unit, side that emits (rectangle, disk); spot: unit direction of its axis
+    radius     (L,) f4  sphere
+    area       (L,) f4  [m^2]; 0 for point and spot
+    cone_cos   (L, 2) f4  spot: cosines of beam_width and cutoff_angle
+    triangle_first, triangle_count (L,) i4  mesh: rows of Scene.triangles
+    power      (L, 3) f4  emitted flux [W]: pi * area * radiance, or 4 pi * intensity for a point
+    """
+
+    kind: I4
+    radiance: F4
+    position: F4
+    edge_u: F4
+    edge_v: F4
+    normal: F4
+    radius: F4
+    area: F4
+    cone_cos: F4
+    triangle_first: I4
+    triangle_count: I4
+    power: F4
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A scene ready to be intersected.
+
+    vertices             (V, 3) f4
+    triangles            (T, 3) i4  rows of vertices, counter-clockwise seen from the front
+    corner_normals       (T, 3, 3) f4  unit shading normal at each corner; the geometric normal where a mesh is flat
+    face_normals         (T, 3) f4  unit geometric normal, on the side of the counter-clockwise winding
+    analytic_kind        (A,) i4  SPHERE | DISK
+    analytic_center      (A, 3) f4
+    analytic_normal      (A, 3) f4  disk: unit normal; sphere: (+1, 0, 0), or (-1, 0, 0) when its normals are flipped
+    analytic_radius      (A,) f4
+    material             (T + A,) i4  row of Materials of each primitive
+    light                (T + A,) i4  row of Lights of each primitive, -1: it does not emit
+    notes                what of the file was noticed and ignored, a sentence each
+    """
+
+    name: str
+    folder: Path
+    sha256: str
+    camera: Camera
+    film_width: int
+    film_height: int
+    vertices: F4
+    triangles: I4
+    corner_normals: F4
+    face_normals: F4
+    analytic_kind: I4
+    analytic_center: F4
+    analytic_normal: F4
+    analytic_radius: F4
+    material: I4
+    light: I4
+    materials: Materials
+    lights: Lights
+    notes: tuple[str, ...]
+
+
+class Rays(NamedTuple):
+    """A queue of rays: what each counts for whom, and its random key.
+
+    origin [m], direction (unit), weight (N, 3) f4; owner (N,) i8, the row that the ray's result is added to
+    (a pixel, a point, or a photon's number); key (N,) u8. A photon's weight is its flux [W].
+    """
+
+    origin: F4
+    direction: F4
+    weight: F4
+    owner: I8
+    key: U8
+
+    @classmethod
+    def empty(cls, count: int) -> Rays:
+        """Room for `count` rays."""
+        return cls(*(np.empty((count, 3), np.float32) for _ in range(3)),
+                   np.empty(count, np.int64), np.empty(count, np.uint64))  # fmt: skip
+
+
+class Hits(NamedTuple):
+    """Nearest hits of rays: distance (N,) f4 [m], primitive (N,) i4 (-1: miss), u and v (N,) f4 of triangles."""
+
+    distance: F4
+    primitive: I4
+    u: F4
+    v: F4
+
+
+class Points(NamedTuple):
+    """Diffuse points that paths have reached.
+
+    position (N, 3) f4 [m], lifted off the surface by the scene's epsilon; normal (shading) and geometric
+    (N, 3) f4, unit, on the side of wo; albedo, weight (N, 3) f4; owner (N,) i8; key (N,) u8;
+    distance (N,) f4 [m], length of the last ray.
+    """
+
+    position: F4
+    normal: F4
+    geometric: F4
+    albedo: F4
+    weight: F4
+    owner: I8
+    key: U8
+    distance: F4
+
+    @classmethod
+    def empty(cls, count: int) -> Points:
+        """Room for `count` points."""
+        return cls(*(np.empty((count, 3), np.float32) for _ in range(5)),
+                   np.empty(count, np.int64), np.empty(count, np.uint64), np.empty(count, np.float32))  # fmt: skip
+
+
+class Photons(NamedTuple):
+    """Photons where they were stored.
+
+    position (N, 3) f4 [m]; normal (N, 3) f4 of the surface, on the photon's side; flux (N, 3) f4 [W];
+    history (N,) u1: 0 straight from a light, 1 after specular bounces alone, 2 after a diffuse bounce;
+    number (N,) i8 of the emission it belongs to.
+    """
+
+    position: F4
+    normal: F4
+    flux: F4
+    history: U1
+    number: I8
+
+    @classmethod
+    def empty(cls, count: int) -> Photons:
+        """Room for `count` photons."""
+        return cls(*(np.empty((count, 3), np.float32) for _ in range(3)),
+                   np.empty(count, np.uint8), np.empty(count, np.int64))  # fmt: skip
+
+
+class Tree(NamedTuple):
+    """A kd-tree: position and normal (N, 3) f4 in the tree's order, axis (nodes,) i1, plane (nodes,) f4."""
+
+    position: F4
+    normal: F4
+    axis: I1
+    plane: F4
+
+
+class Stack(NamedTuple):
+    """Scratch of one thread's tree search: nodes yet to be visited and the squared distance to each."""
+
+    node: I8
+    low: I8
+    high: I8
+    offset2: F8
+
+    @classmethod
+    def empty(cls) -> Stack:
+        """Deep enough for any tree of fewer than 2^60 points."""
+        return cls(*(np.empty(64, np.int64) for _ in range(3)), np.empty(64, np.float64))
+
+
+def rows(record: Rays | Points | Photons, selection: slice | I8 | npt.NDArray[np.bool_]) -> tuple[np.ndarray, ...]:
+    """The selected rows of every column of a record; give it to the record's class.
+
+    A slice gives views of the record's own arrays, which must then not be written to.
+    """
+    return tuple(np.ascontiguousarray(column[selection]) for column in record)

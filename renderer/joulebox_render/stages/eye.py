@@ -1,0 +1,71 @@
+"""Eye rays: from pixels, through mirrors and glass, to the diffuse points that lighting is computed at."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from joulebox_render.kernels.transport import camera_rays
+from joulebox_render.records import F8, Camera, Points, Rays
+from joulebox_render.stages.context import Context
+from joulebox_render.stages.paths import follow_to_diffuse, join
+
+
+class Sight(NamedTuple):
+    """What a band of pixels sees: emitted radiance (pixels, 3) f8 as a sum over samples, and diffuse points,
+    those seen directly and those seen through mirrors and glass; owners are pixels counted from the band's first.
+    """
+
+    emitted: F8
+    direct: Points
+    through_specular: Points
+    rays: int
+
+
+def camera_frame(camera: Camera, width: int, height: int) -> F8:
+    """(4, 3) f8: position, film right, film down, and axis; see `kernels.transport.camera_rays`."""
+    axes = camera.to_world[:3, :3] / np.linalg.norm(camera.to_world[:3, :3], axis=0)
+    aspect = width / height
+    tangent = math.tan(math.radians(camera.fov_deg) / 2)
+    axis = {"smaller": "x" if aspect <= 1 else "y", "larger": "x" if aspect >= 1 else "y"}.get(
+        camera.fov_axis, camera.fov_axis
+    )
+    if axis == "y":
+        tangent *= aspect
+    elif axis == "diagonal":
+        tangent *= width / math.hypot(width, height)
+    return np.array([camera.to_world[:3, 3], -tangent * axes[:, 0], -tangent / aspect * axes[:, 1], axes[:, 2]])
+
+
+def look(context: Context, camera: Camera, first_pixel: int, pixel_count: int) -> Sight:
+    """Trace the eye rays of pixels [first_pixel, first_pixel + pixel_count)."""
+    settings = context.settings
+    samples = settings.samples_per_pixel
+    assert settings.width and settings.height
+    frame = camera_frame(camera, settings.width, settings.height)
+
+    def chunk(first: int, last: int) -> tuple[F8, list[Points], int]:
+        rays = Rays.empty((last - first) * samples)
+        camera_rays(
+            settings.seed, first_pixel + first, samples, context.columns(samples), settings.jitter,
+            settings.width, settings.height, frame, camera.near_m, rays.origin, rays.direction, rays.key,
+        )  # fmt: skip
+        rays.weight[:] = 1
+        rays.owner[:] = np.repeat(np.arange(last - first), samples)
+        emitted = np.zeros((last - first, 3))
+        parts, traced = follow_to_diffuse(
+            context, rays, emitted, split=True, first_emission=True, specular_emission=True
+        )
+        for part in parts:
+            part.owner[:] += first
+        return emitted, parts, traced
+
+    chunks = list(context.pool.map_chunks(chunk, pixel_count, samples))
+    return Sight(
+        emitted=np.concatenate([emitted for emitted, _, _ in chunks]),
+        direct=join([parts[0] for _, parts, _ in chunks]),
+        through_specular=join([part for _, parts, _ in chunks for part in parts[1:]]),
+        rays=sum(traced for _, _, traced in chunks),
+    )

@@ -1,0 +1,181 @@
+"""Photon maps: photons are emitted from the lights, scattered and stored, and put into kd-trees."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from joulebox_render.kernels.kdtree import LEAF, build_tree
+from joulebox_render.kernels.lighting import emit_photons
+from joulebox_render.kernels.photons import scatter
+from joulebox_render.records import F4, Photons, Rays, Tree, rows
+from joulebox_render.stages.context import Context
+
+FIRST_HIT, CAUSTIC, BOUNCED = 0, 1, 2
+# A map that is not full after this many emissions for each photon it should hold stays as it is.
+EMITTED_PER_STORED = 50
+
+
+@dataclass(frozen=True)
+class PhotonMap:
+    """Photons in a kd-tree.
+
+    tree, flux (N, 3) f4 [W] in its order, divided by `emitted`; source_order (N,) gives each photon's rank in
+    the order of storing. complete is False when emission ended before the map held what was asked for.
+    """
+
+    tree: Tree
+    flux: F4
+    stored: int
+    emitted: int
+    complete: bool
+
+
+@dataclass(frozen=True)
+class Emission:
+    """Stored photons of each map, None where the plan needs no such map, how many were emitted, rays traced."""
+
+    global_photons: Photons | None
+    global_emitted: int
+    caustic_photons: Photons | None
+    caustic_emitted: int
+    rays: int
+
+
+class _Collector:
+    """Takes photons of some histories, in the order of emission, until it holds `wanted`."""
+
+    def __init__(self, wanted: int, histories: tuple[int, ...]) -> None:
+        self.wanted = wanted
+        self.parts: list[Photons] = []
+        self.stored = 0
+        self.emitted = 0
+        self._chosen = np.isin(np.arange(3), histories)
+
+    @property
+    def full(self) -> bool:
+        return self.stored >= self.wanted
+
+    def take(self, photons: Photons, emitted: int) -> None:
+        """Add one chunk; `emitted` counts all photons emitted up to its end."""
+        if self.full:
+            return
+        chosen = np.flatnonzero(self._chosen[photons.history])[: self.wanted - self.stored]
+        self.parts.append(Photons(*rows(photons, chosen)))
+        self.stored += len(chosen)
+        # A full map's last photon tells how many emissions filled it.
+        self.emitted = int(photons.number[chosen[-1]]) + 1 if self.full else emitted
+
+    def needs(self, emitted: int) -> int:
+        """Emissions still needed at the yield so far, 0 once full or out of tries."""
+        if self.full:
+            return 0
+        share = self.stored / emitted if self.stored else 1.0
+        needed = int((self.wanted - self.stored) / share * 1.02) + 1
+        return max(0, min(needed, EMITTED_PER_STORED * self.wanted - emitted))
+
+
+def emit_and_store(context: Context) -> Emission:
+    """Shared emission for the global and the caustic map.
+
+    Each map takes the photons of one emission sequence until it is full, so that neither depends on the other.
+    """
+    settings, plan = context.settings, context.plan
+    collectors = {}
+    if plan.global_map:
+        collectors["global"] = _Collector(settings.global_photons, global_histories(context))
+    if plan.caustic_map:
+        collectors["caustic"] = _Collector(settings.caustic_photons, (CAUSTIC,))
+    emitted = traced = 0
+    lit = float(context.tables.light_power.sum()) > 0
+    while lit and (needed := max(collector.needs(emitted) for collector in collectors.values())) > 0:
+        count = needed if emitted == 0 else min(needed, 4 * emitted)
+        for photons, chunk_end, rays in _trace_round(context, emitted, count):
+            traced += rays
+            for collector in collectors.values():
+                collector.take(photons, chunk_end)
+        emitted += count
+    stored = {name: _join(collector.parts) for name, collector in collectors.items()}
+    return Emission(
+        stored.get("global"), collectors["global"].emitted if plan.global_map else 0,
+        stored.get("caustic"), collectors["caustic"].emitted if plan.caustic_map else 0,
+        traced,
+    )  # fmt: skip
+
+
+def global_histories(context: Context) -> tuple[int, ...]:
+    """Which photons the global map holds.
+
+    Final gathering looks the map up where gather rays end, and needs all light there. Direct visualisation shows
+    the map at first sight: light straight from the lights is sampled instead, and caustics have their own map.
+    """
+    if context.settings.indirect == "final_gather":
+        return (FIRST_HIT, CAUSTIC, BOUNCED)
+    return (BOUNCED,) if context.plan.caustic_map else (CAUSTIC, BOUNCED)
+
+
+def build_photon_map(photons: Photons, emitted: int, wanted: int) -> PhotonMap:
+    """Put photons into a kd-tree and scale their flux by the number emitted."""
+    tree, order = grow_tree(photons.position, photons.normal)
+    flux = np.ascontiguousarray(photons.flux[order] / np.float32(max(1, emitted)))
+    return PhotonMap(tree, flux, len(photons.number), emitted, len(photons.number) >= wanted)
+
+
+def grow_tree(position: F4, normal: F4) -> tuple[Tree, np.ndarray]:
+    """A kd-tree over points and the order (N,) that its arrays list them in."""
+    count = len(position)
+    order = np.arange(count, dtype=np.int32)
+    depth = 0
+    while (count + (1 << depth) - 1) >> depth > LEAF:
+        depth += 1
+    nodes = (2 << depth) - 1
+    axis = np.full(nodes, -1, np.int8)
+    plane = np.zeros(nodes, np.float32)
+    if count:
+        build_tree(np.ascontiguousarray(position.T), order, axis, plane)
+    return Tree(np.ascontiguousarray(position[order]), np.ascontiguousarray(normal[order]), axis, plane), order
+
+
+def _trace_round(context: Context, first_number: int, count: int) -> list[tuple[Photons, int, int]]:
+    """Emit `count` photons from number `first_number` on: (photons, emitted up to the chunk's end, rays) a chunk."""
+
+    def chunk(first: int, last: int) -> tuple[Photons, int, int]:
+        photons, rays = _trace_photons(context, first_number + first, last - first)
+        return photons, first_number + last, rays
+
+    return list(context.pool.map_chunks(chunk, count, 2))
+
+
+def _trace_photons(context: Context, first_number: int, count: int) -> tuple[Photons, int]:
+    """Follow photons number first_number ... until they are absorbed or gone; stored ones in order of emission."""
+    settings = context.settings
+    rays = Rays.empty(count)
+    emit_photons(
+        context.tables, settings.seed, first_number, rays.origin, rays.direction, rays.weight, rays.key
+    )
+    rays.owner[:] = np.arange(first_number, first_number + count)
+    history = np.zeros(count, np.uint8)
+    parts: list[Photons] = []
+    traced = 0
+    for _ in range(settings.max_photon_bounces + 1):
+        count = len(rays.owner)
+        if count == 0:
+            break
+        hits = context.intersector.closest(rays.origin, rays.direction)
+        traced += count
+        stored, following = Photons.empty(count), Rays.empty(count)
+        following_history = np.empty(count, np.uint8)
+        stored_count, ray_count = scatter(
+            context.tables, settings.store_at_every_bounce, rays, history, hits,
+            stored, following, following_history,
+        )  # fmt: skip
+        parts.append(Photons(*rows(stored, slice(0, stored_count))))
+        rays = Rays(*rows(following, slice(0, ray_count)))
+        history = following_history[:ray_count]
+    photons = _join(parts)
+    return Photons(*rows(photons, np.argsort(photons.number, kind="stable"))), traced
+
+
+def _join(parts: list[Photons]) -> Photons:
+    return Photons(*(np.concatenate(columns) for columns in zip(*parts, strict=True))) if parts else Photons.empty(0)
