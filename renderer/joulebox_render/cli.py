@@ -16,7 +16,13 @@ from rich.table import Table
 
 from joulebox_render import __version__
 from joulebox_render.errors import RenderError, SettingsError
-from joulebox_render.settings import Settings, make_settings, parse_assignments, read_settings_file, settings_schema
+from joulebox_render.settings import (
+    Settings,
+    make_settings,
+    parse_assignments,
+    read_settings_file,
+    settings_schema,
+)
 
 app = typer.Typer(
     no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
@@ -26,7 +32,7 @@ scenes_app = typer.Typer(no_args_is_help=True, help="The scenes shipped with the
 app.add_typer(scenes_app, name="scenes")
 messages = Console(stderr=True)
 
-SceneArgument = Annotated[str, typer.Argument(help="Folder with scene.xml, an .xml file, or the name of a shipped scene.")]
+SceneArgument = Annotated[str, typer.Argument(help="Folder with scene.xml, an .xml file, or a shipped scene's name.")]
 SetOption = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A setting; may repeat.")]
 FileOption = Annotated[Path | None, typer.Option("--settings", help="JSON or TOML file of settings.")]
 PresetOption = Annotated[str | None, typer.Option("--preset", help="draft, balanced, fine or reference.")]
@@ -126,6 +132,20 @@ def plan(
 def schema() -> None:
     """Print the JSON Schema of the settings."""
     print(json.dumps(settings_schema(), indent=1))
+
+
+@app.command()
+def bench(
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Markdown file to write as well.")] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="64x64 pixels: seconds instead of minutes.")] = False,
+) -> None:
+    """Time against error of presets and path tracing, and rates of rays against bare Embree."""
+    from joulebox_render.bench import run_bench
+
+    report = run_bench(lambda text: messages.print(text, style="dim", highlight=False), quick)
+    print(report)
+    if output:
+        write_text(output, report)
 
 
 @app.command("warm-up")

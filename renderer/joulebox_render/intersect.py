@@ -6,6 +6,8 @@ trace at the same time. A query's answer does not depend on the batch it was ask
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
@@ -23,10 +25,10 @@ class Intersector:
 
     def __init__(self, tables: SceneTables) -> None:
         self.tables = tables
-        self._embree = None
+        self.embree: Any = None
         if len(tables.triangles):
-            self._embree = EmbreeScene(robust=True)
-            TriangleMesh(self._embree, tables.vertices, tables.triangles)
+            self.embree = EmbreeScene(robust=True)
+            TriangleMesh(self.embree, tables.vertices, tables.triangles)
             # Embree commits on the first query, which must not happen on two threads at once.
             self.closest(np.zeros((1, 3), np.float32), np.array([[0, 0, 1]], np.float32))
 
@@ -36,8 +38,8 @@ class Intersector:
         distance = np.full(count, FAR, np.float32)
         primitive = np.full(count, -1, np.int32)
         u = v = np.zeros(count, np.float32)
-        if self._embree is not None and count:
-            answer = self._embree.run(origin, direction, query="INTERSECT", output=True)
+        if self.embree is not None and count:
+            answer = self.embree.run(origin, direction, query="INTERSECT", output=True)
             merge_embree_hits(answer["tfar"], answer["primID"], distance, primitive, FAR)
             u, v = answer["u"], answer["v"]
         if len(self.tables.analytic_kind):
@@ -48,8 +50,8 @@ class Intersector:
         """1 where anything lies on the ray nearer than `limit` (N,) f4 [m], which is not overwritten."""
         count = len(origin)
         blocked = np.zeros(count, np.uint8)
-        if self._embree is not None and count:
-            answer = self._embree.run(origin, direction, dists=limit.copy(), query="OCCLUDED")
+        if self.embree is not None and count:
+            answer = self.embree.run(origin, direction, dists=limit.copy(), query="OCCLUDED")
             blocked = (answer >= 0).view(np.uint8)
         if len(self.tables.analytic_kind):
             occluded_analytic(self.tables, origin, direction, limit, blocked)

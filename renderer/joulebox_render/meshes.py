@@ -15,7 +15,7 @@ from trimesh.geometry import triangulate_quads
 from joulebox_render.errors import SceneError
 from joulebox_render.mesh_obj import MeshFile, read_obj
 from joulebox_render.records import F8, I8
-from joulebox_render.scene_transforms import normalized, transform_normals, transform_points
+from joulebox_render.scene_transforms import fits_single, normalized, transform_normals, transform_points
 
 # trimesh logs what it guesses about odd files; here a file is either read or refused with a sentence.
 logging.getLogger("trimesh").addHandler(logging.NullHandler())
@@ -87,18 +87,13 @@ def _check(mesh: MeshFile, kind: str, file: str) -> None:
         raise SceneError(f"{file}: the vertices of the {kind.upper()} mesh are not three numbers each")
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
         worst = mesh.faces.max() if mesh.faces.max() >= len(mesh.vertices) else mesh.faces.min()
-        raise SceneError(
-            f"{file}: a face uses vertex {worst}, counted from 0, of {len(mesh.vertices)}; is it cut off?"
-        )
-    limit = float(np.finfo(np.float32).max)
-    if not np.all(np.abs(mesh.vertices) <= limit) or (
-        mesh.normals is not None and not np.isfinite(mesh.normals).all()
-    ):
+        raise SceneError(f"{file}: a face uses vertex {worst}, counted from 0, of {len(mesh.vertices)}; is it cut off?")
+    if not fits_single(mesh.vertices) or (mesh.normals is not None and not np.isfinite(mesh.normals).all()):
         raise SceneError(f"{file}: the mesh holds a number that is not finite in single precision")
 
 
 def place_mesh(source: MeshFile, to_world: F8, smooth: bool, flip: bool) -> Mesh | None:
-    """The mesh in world space; None when no triangle has an area.
+    """The mesh in world space; None when it is too large or too small for single precision.
 
     smooth   shade with the file's vertex normals, or with angle-weighted ones where it has none, as Mitsuba
              does; False: flat
@@ -107,11 +102,14 @@ def place_mesh(source: MeshFile, to_world: F8, smooth: bool, flip: bool) -> Mesh
     Where a file's vertex normals contradict the winding (mirroring transforms, careless exporters), the
     winding is turned: Mitsuba's bsdfs and area lights take the front from the shading normal.
     """
-    vertices = transform_points(to_world, source.vertices).astype(np.float32).astype(np.float64)
+    vertices = transform_points(to_world, source.vertices)
+    if not fits_single(vertices):
+        return None
+    vertices = vertices.astype(np.float32).astype(np.float64)
     cross = _cross(vertices, source.faces)
-    keep = np.linalg.norm(cross, axis=1) > 0.0
+    keep = np.linalg.norm(cross, axis=1) >= np.finfo(np.float32).tiny
     faces, cross = source.faces[keep], cross[keep]
-    if not len(faces) or not np.isfinite(cross).all():
+    if not len(faces) or not fits_single(cross):
         return None
     double_areas = np.linalg.norm(cross, axis=1)
     face_normals = cross / double_areas[:, None]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -145,8 +145,7 @@ class Rays(NamedTuple):
     @classmethod
     def empty(cls, count: int) -> Rays:
         """Room for `count` rays."""
-        return cls(*(np.empty((count, 3), np.float32) for _ in range(3)),
-                   np.empty(count, np.int64), np.empty(count, np.uint64))  # fmt: skip
+        return cls(_f4(count), _f4(count), _f4(count), np.empty(count, np.int64), np.empty(count, np.uint64))
 
 
 class Hits(NamedTuple):
@@ -178,8 +177,10 @@ class Points(NamedTuple):
     @classmethod
     def empty(cls, count: int) -> Points:
         """Room for `count` points."""
-        return cls(*(np.empty((count, 3), np.float32) for _ in range(5)),
-                   np.empty(count, np.int64), np.empty(count, np.uint64), np.empty(count, np.float32))  # fmt: skip
+        return cls(
+            _f4(count), _f4(count), _f4(count), _f4(count), _f4(count),
+            np.empty(count, np.int64), np.empty(count, np.uint64), np.empty(count, np.float32),
+        )  # fmt: skip
 
 
 class Photons(NamedTuple):
@@ -199,8 +200,7 @@ class Photons(NamedTuple):
     @classmethod
     def empty(cls, count: int) -> Photons:
         """Room for `count` photons."""
-        return cls(*(np.empty((count, 3), np.float32) for _ in range(3)),
-                   np.empty(count, np.uint8), np.empty(count, np.int64))  # fmt: skip
+        return cls(_f4(count), _f4(count), _f4(count), np.empty(count, np.uint8), np.empty(count, np.int64))
 
 
 class Tree(NamedTuple):
@@ -223,10 +223,17 @@ class Stack(NamedTuple):
     @classmethod
     def empty(cls) -> Stack:
         """Deep enough for any tree of fewer than 2^60 points."""
-        return cls(*(np.empty(64, np.int64) for _ in range(3)), np.empty(64, np.float64))
+        node, low, high = np.empty((3, 64), np.int64)
+        return cls(node, low, high, np.empty(64, np.float64))
 
 
-def rows(record: Rays | Points | Photons, selection: slice | I8 | npt.NDArray[np.bool_]) -> tuple[np.ndarray, ...]:
+def _f4(count: int) -> F4:
+    return np.empty((count, 3), np.float32)
+
+
+def rows(
+    record: Rays | Points | Photons, selection: slice | npt.NDArray[np.integer | np.bool_]
+) -> tuple[Any, ...]:
     """The selected rows of every column of a record; give it to the record's class.
 
     A slice gives views of the record's own arrays, which must then not be written to.

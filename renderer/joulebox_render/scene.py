@@ -68,9 +68,7 @@ def find_scene(path: Path | str) -> Path:
         return shipped[str(path)] / "scene.xml"
     if exists:
         wrong = "has no scene.xml inside" if given.is_dir() else "is not an .xml file"
-        raise SceneError(
-            f"scene {str(path)!r} {wrong}; give a folder with scene.xml, an .xml file, or a scene's name"
-        )
+        raise SceneError(f"scene {str(path)!r} {wrong}; give a folder with scene.xml, an .xml file, or a scene's name")
     raise SceneError(
         f"there is no scene {str(path)!r}; give a folder with scene.xml, an .xml file, or a scene's name"
         f"{suggest(str(path), shipped)}"
@@ -104,9 +102,7 @@ def load_scene(path: Path | str, defines: Mapping[str, str] = _NO_DEFINES) -> Sc
     materials.check(_children(root, "bsdf"))
     lights = geometry.lights + _lone_lights(root, objects_by_id, notes)
     if not lights:
-        raise root.error(
-            "the scene has no light; put an area <emitter> into a shape, or add a point or spot light"
-        )
+        raise root.error("the scene has no light; put an area <emitter> into a shape, or add a point or spot light")
     return Scene(
         name=file.resolve().parent.name if file.name == "scene.xml" else file.stem,
         folder=file.parent,
@@ -175,7 +171,5 @@ def _only_sensor(root: Element) -> Element:
     if not sensors:
         raise root.error('the scene has no sensor; add <sensor type="perspective">')
     if len(sensors) > 1:
-        raise sensors[1].error(
-            f"the scene has {len(sensors)} sensors, the first on line {sensors[0].line}; keep one"
-        )
+        raise sensors[1].error(f"the scene has {len(sensors)} sensors, the first on line {sensors[0].line}; keep one")
     return sensors[0]

@@ -11,6 +11,7 @@ from joulebox_render.meshes import Mesh
 from joulebox_render.records import F4, F8, I4
 from joulebox_render.scene_lights import Light, area_light
 from joulebox_render.scene_shapes import Analytic, Shape
+from joulebox_render.scene_transforms import fits_single
 
 
 @dataclass(frozen=True)
@@ -55,18 +56,12 @@ def assemble(shapes: Sequence[Shape], notes: list[str]) -> Geometry:
         material.append(shape.material)
     return Geometry(
         vertices=_stack([mesh.vertices for _, mesh in meshes], (0, 3)),
-        triangles=np.ascontiguousarray(
-            np.concatenate([np.zeros((0, 3), np.int64), *triangles]), dtype=np.int32
-        ),
+        triangles=np.ascontiguousarray(np.concatenate([np.zeros((0, 3), np.int64), *triangles]), dtype=np.int32),
         corner_normals=_stack([mesh.corner_normals for _, mesh in meshes], (0, 3, 3)),
         face_normals=_stack([mesh.face_normals for _, mesh in meshes], (0, 3)),
         analytic_kind=np.array([surface.kind for _, surface in analytics], dtype=np.int32),
-        analytic_center=np.array([surface.center for _, surface in analytics], dtype=np.float32).reshape(
-            -1, 3
-        ),
-        analytic_normal=np.array([surface.normal for _, surface in analytics], dtype=np.float32).reshape(
-            -1, 3
-        ),
+        analytic_center=np.array([surface.center for _, surface in analytics], dtype=np.float32).reshape(-1, 3),
+        analytic_normal=np.array([surface.normal for _, surface in analytics], dtype=np.float32).reshape(-1, 3),
         analytic_radius=np.array([surface.radius for _, surface in analytics], dtype=np.float32),
         material=np.array(material, dtype=np.int32),
         light=np.array(light, dtype=np.int32),
@@ -81,7 +76,10 @@ def _light_row(shape: Shape, triangle_first: int, lights: list[Light], notes: li
     if not shape.radiance.any():
         notes.append(f"line {shape.element.line}: the emitter has radiance 0 and is no light.")
         return -1
-    lights.append(area_light(shape, shape.radiance, triangle_first))
+    light = area_light(shape, shape.radiance, triangle_first)
+    if not fits_single(light.power):
+        raise shape.element.error("the shape emits too much light for single precision; lower its radiance")
+    lights.append(light)
     return len(lights) - 1
 
 

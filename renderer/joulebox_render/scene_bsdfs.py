@@ -110,9 +110,7 @@ class MaterialTable:
     def _two_sided(self, properties: Properties) -> Material:
         nested = properties.take_objects("bsdf")
         if len(nested) != 1:
-            raise properties.element.error(
-                f"twosided has {len(nested)} bsdfs inside; give it one diffuse bsdf"
-            )
+            raise properties.element.error(f"twosided has {len(nested)} bsdfs inside; give it one diffuse bsdf")
         if nested[0].type != "diffuse":
             raise nested[0].error(f'twosided works around a diffuse bsdf, not around "{nested[0].type}"')
         inner = self._read(nested[0])

@@ -18,9 +18,7 @@ _MAX_PIXELS_A_SIDE = 16384
 _FRAME_DIAGONAL_MM = math.hypot(36.0, 24.0)
 
 
-def read_sensor(
-    element: Element, objects_by_id: Mapping[str, Element], notes: list[str]
-) -> tuple[Camera, int, int]:
+def read_sensor(element: Element, objects_by_id: Mapping[str, Element], notes: list[str]) -> tuple[Camera, int, int]:
     """Camera, film width and film height; adds a sentence to `notes` for each thing that is ignored."""
     if element.type != "perspective":
         raise element.error(f'unknown sensor "{element.type}"{suggest(element.type, ("perspective",))}')
@@ -81,8 +79,6 @@ def _film(properties: Properties, objects_by_id: Mapping[str, Element], notes: l
         film.take_boolean(name, False)
     for rfilter in film.take_objects("rfilter"):
         if rfilter.type != "box":
-            notes.append(
-                f'line {rfilter.line}: rfilter "{rfilter.type}" is ignored; pixels are averaged with a box.'
-            )
+            notes.append(f'line {rfilter.line}: rfilter "{rfilter.type}" is ignored; pixels are averaged with a box.')
     film.finish()
     return width, height

@@ -21,7 +21,7 @@ from joulebox_render.records import (
     Lights,
 )
 from joulebox_render.scene_shapes import Analytic, Shape
-from joulebox_render.scene_transforms import uniform_scale
+from joulebox_render.scene_transforms import fits_single, uniform_scale
 from joulebox_render.scene_values import Properties
 from joulebox_render.scene_xml import Element, suggest
 
@@ -96,6 +96,8 @@ def read_light(element: Element, objects_by_id: Mapping[str, Element]) -> Light:
     properties = Properties(element, objects_by_id)
     light = readers[element.type](properties)
     properties.finish()
+    if not fits_single(light.power, light.position):
+        raise element.error(f"the {element.type} light is too bright or too far away for single precision")
     return light
 
 
@@ -117,15 +119,11 @@ def _spot(properties: Properties) -> Light:
     cutoff_element = properties.line_of("cutoff_angle")
     cutoff_deg = properties.take_float("cutoff_angle", 20.0, above=0.0)
     if cutoff_deg > 90.0:
-        raise cutoff_element.error(
-            f'"cutoff_angle" is {cutoff_deg:g}; it must be at most 90 degrees from the axis'
-        )
+        raise cutoff_element.error(f'"cutoff_angle" is {cutoff_deg:g}; it must be at most 90 degrees from the axis')
     beam_element = properties.line_of("beam_width")
     beam_deg = properties.take_float("beam_width", 0.75 * cutoff_deg, at_least=0.0)
     if beam_deg > cutoff_deg:
-        raise beam_element.error(
-            f'"beam_width" is {beam_deg:g}; it must not exceed cutoff_angle, {cutoff_deg:g}'
-        )
+        raise beam_element.error(f'"beam_width" is {beam_deg:g}; it must not exceed cutoff_angle, {cutoff_deg:g}')
     beam, cutoff = math.radians(beam_deg), math.radians(cutoff_deg)
     intensity = properties.take_emission("intensity")
     # Integral of the falloff over the sphere: 2 pi (1 - mean cosine between the two angles).

@@ -14,7 +14,7 @@ from joulebox_render.mesh_obj import MeshFile
 from joulebox_render.meshes import Mesh, place_mesh, read_mesh
 from joulebox_render.records import DISK, F8, SPHERE
 from joulebox_render.scene_bsdfs import MaterialTable
-from joulebox_render.scene_transforms import mirrors, transform_normals, transform_points, uniform_scale
+from joulebox_render.scene_transforms import fits_single, mirrors, transform_normals, transform_points, uniform_scale
 from joulebox_render.scene_values import Properties
 from joulebox_render.scene_xml import Element, suggest
 
@@ -59,15 +59,8 @@ class SceneFolder:
     def read(self, blame: Element, name: str) -> bytes:
         """The bytes of a file inside the folder; SceneError at `blame` for any other."""
         pure = PurePosixPath(name)
-        if (
-            not name
-            or pure.is_absolute()
-            or PureWindowsPath(name).anchor
-            or ".." in PureWindowsPath(name).parts
-        ):
-            raise blame.error(
-                f'"{name}" is outside the scene\'s folder; give a path relative to and inside it'
-            )
+        if not name or pure.is_absolute() or PureWindowsPath(name).anchor or ".." in PureWindowsPath(name).parts:
+            raise blame.error(f'"{name}" is outside the scene\'s folder; give a path relative to and inside it')
         root = self.folder.resolve()
         try:
             path = (root / pure).resolve()
@@ -90,9 +83,7 @@ _Reader = Callable[[Properties, F8, bool], tuple[Mesh | Analytic, F8 | None]]
 class ShapeReader:
     """Reads <shape> elements."""
 
-    def __init__(
-        self, objects_by_id: Mapping[str, Element], folder: SceneFolder, materials: MaterialTable
-    ) -> None:
+    def __init__(self, objects_by_id: Mapping[str, Element], folder: SceneFolder, materials: MaterialTable) -> None:
         self._objects_by_id = objects_by_id
         self._folder = folder
         self._materials = materials
@@ -117,6 +108,8 @@ class ShapeReader:
         material = self._material(properties, radiance is not None)
         surface, half_edges = readers[element.type](properties, to_world, flip)
         properties.finish()
+        if isinstance(surface, Analytic) and not fits_single(surface.center, surface.radius**2):
+            raise element.error(f"the {element.type} is too large for single precision; change its scale")
         return Shape(element, surface, half_edges, radiance, material)
 
     def _radiance(self, properties: Properties) -> F8 | None:
@@ -135,17 +128,13 @@ class ShapeReader:
     def _material(self, properties: Properties, emits: bool) -> int:
         bsdfs = properties.take_objects("bsdf")
         if len(bsdfs) > 1:
-            raise bsdfs[1].error(
-                f"the shape on line {properties.element.line} has {len(bsdfs)} bsdfs; give it one"
-            )
+            raise bsdfs[1].error(f"the shape on line {properties.element.line} has {len(bsdfs)} bsdfs; give it one")
         return self._materials.row(bsdfs[0]) if bsdfs else self._materials.default_row(emits)
 
     def _placed(self, element: Element, source: MeshFile, to_world: F8, smooth: bool, flip: bool) -> Mesh:
         mesh = place_mesh(source, to_world, smooth, flip)
         if mesh is None:
-            raise element.error(
-                f"the {element.type} has no triangle with an area in single precision; scale it up"
-            )
+            raise element.error(f"the {element.type} is too large or too small for single precision; change its scale")
         return mesh
 
     def _rectangle(self, properties: Properties, to_world: F8, flip: bool) -> tuple[Mesh, F8]:

@@ -33,8 +33,11 @@ def numbers(element: Element, text: str) -> list[float]:
     return [parse_number(element, token) for token in re.split(r"[\s,]+", text.strip(" \t\r\n,")) if token]
 
 
-def read_vector(element: Element, missing: float, value_name: str = "value") -> F8:
-    """(3,) from attributes x, y, z (`missing` where left out) or from one or three numbers in one."""
+def read_vector(element: Element, missing: float | None, value_name: str = "value") -> F8:
+    """(3,) from one or three numbers in one attribute, or from attributes x, y and z.
+
+    missing   stands in for those of x, y, z that are left out; None: all are needed
+    """
     given = [axis for axis in "xyz" if axis in element.attributes]
     if value_name in element.attributes:
         if given:
@@ -43,11 +46,10 @@ def read_vector(element: Element, missing: float, value_name: str = "value") -> 
         if len(values) not in (1, 3):
             raise element.error(f"<{element.tag}> has {len(values)} numbers; give one or three")
         return np.array(values * 3 if len(values) == 1 else values, dtype=np.float64)
-    if not given:
-        raise element.error(f'<{element.tag}> has no numbers; give {value_name}="x, y, z" or x, y and z')
+    if not given or (missing is None and len(given) < 3):
+        raise element.error(f'<{element.tag}> lacks numbers; give {value_name}="x, y, z", or x, y and z')
     return np.array(
-        [parse_number(element, element.attributes[a]) if a in given else missing for a in "xyz"],
-        dtype=np.float64,
+        [parse_number(element, element.attributes[a]) if a in given else missing for a in "xyz"], np.float64
     )
 
 
@@ -80,9 +82,7 @@ def _matrix(step: Element) -> F8:
     step.allow_attributes("value")
     values = numbers(step, step.attributes.get("value", ""))
     if len(values) not in (9, 16):
-        raise step.error(
-            f"<matrix> has {len(values)} numbers; give 16 (rows first), or 9 without translation"
-        )
+        raise step.error(f"<matrix> has {len(values)} numbers; give 16 (rows first), or 9 without translation")
     size = 4 if len(values) == 16 else 3
     matrix = np.eye(4)
     matrix[:size, :size] = np.reshape(values, (size, size))
@@ -110,6 +110,10 @@ def _rotate(step: Element) -> F8:
     length = float(np.linalg.norm(axis))
     if length == 0.0:
         raise step.error('the axis of <rotate> is 0 0 0; give it a direction, for example y="1"')
+    if abs(length - 1.0) > 1e-3:
+        # Mitsuba uses the axis as it is, which turns and stretches in odd ways.
+        unit = ", ".join(f"{value:.6g}" for value in axis / length)
+        raise step.error(f'the axis of <rotate> has the length {length:.6g}; it must be 1: value="{unit}"')
     if "angle" not in step.attributes:
         raise step.error('<rotate> has no angle; write angle="degrees"')
     angle = math.radians(parse_number(step, step.attributes["angle"]))
@@ -127,15 +131,13 @@ def _look_at(step: Element) -> F8:
         if name not in step.attributes:
             raise step.error(f"<{step.tag}> has no {name}; give origin, target and up")
     origin, target, up = (
-        read_vector(Element(step.tag, {name: step.attributes[name]}, step.file, step.line), 0.0, name)
+        read_vector(Element(step.tag, {name: step.attributes[name]}, step.file, step.line), None, name)
         for name in ("origin", "target", "up")
     )
     direction = target - origin
     left = np.cross(up, direction)
     if np.linalg.norm(left) <= 1e-9 * np.linalg.norm(up) * np.linalg.norm(direction):
-        raise step.error(
-            "<lookat> has no direction: target equals origin, or up is zero or points along the view"
-        )
+        raise step.error("<lookat> has no direction: target equals origin, or up is zero or points along the view")
     direction /= np.linalg.norm(direction)
     left /= np.linalg.norm(left)
     matrix = np.eye(4)
@@ -158,6 +160,12 @@ def normalized(vectors: F8, shortest: float = 0.0) -> F8:
     lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
     unit: F8 = np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > shortest)
     return unit
+
+
+def fits_single(*values: F8 | float) -> bool:
+    """Whether all numbers are finite in single precision."""
+    limit = float(np.finfo(np.float32).max)
+    return all(bool(np.all(np.abs(value) <= limit)) for value in values)
 
 
 def mirrors(to_world: F8) -> bool:

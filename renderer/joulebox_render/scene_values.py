@@ -136,7 +136,7 @@ class Properties:
         if child is None:
             return np.array(default, dtype=np.float64)
         child.allow_attributes("name", "value", "x", "y", "z")
-        return read_vector(child, 0.0)
+        return read_vector(child, None)
 
     def take_transform(self, name: str) -> F8:
         """(4, 4) the composed <transform>; the identity when it is not given."""
@@ -184,9 +184,7 @@ class Properties:
     def finish(self) -> None:
         """Refuse every property and object that was not taken."""
         for name, child in self._values.items():
-            raise child.error(
-                f'unknown <{child.tag} name="{name}"> in {self._what()}{suggest(name, self._known)}'
-            )
+            raise child.error(f'unknown <{child.tag} name="{name}"> in {self._what()}{suggest(name, self._known)}')
         for child in self._objects:
             raise child.error(f"<{child.tag}> cannot stand inside {self._what()}")
 

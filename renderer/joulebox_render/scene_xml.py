@@ -117,9 +117,7 @@ def _build(data: bytes, file: str) -> Element:
             )
 
     def refuse_doctype(*_: object) -> None:
-        raise SceneError(
-            f"{file}, line {parser.CurrentLineNumber}: <!DOCTYPE> and entities are refused; remove them"
-        )
+        raise SceneError(f"{file}, line {parser.CurrentLineNumber}: <!DOCTYPE> and entities are refused; remove them")
 
     parser.StartElementHandler = start
     parser.EndElementHandler = lambda _tag: open_elements.pop()
@@ -164,8 +162,7 @@ def resolve_defines(root: Element, defines: Mapping[str, str]) -> dict[str, str]
             name = match[1]
             if name not in values:
                 raise element.error(
-                    f'${name} has no value; add <default name="{name}" value="..."/> above it, '
-                    f"or give -D {name}=..."
+                    f'${name} has no value; add <default name="{name}" value="..."/> above it, or give -D {name}=...'
                 )
             used.add(name)
             return values[name]

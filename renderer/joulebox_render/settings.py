@@ -49,7 +49,7 @@ class Settings(BaseModel):
         "constant", description="weight of photons over the gather disc"
     )
     photon_spacing: int = Field(
-        4, ge=0, le=1_000_000, description="precompute irradiance at every nth photon; 0: gather photons at every look-up"
+        4, ge=0, le=1_000_000, description="precompute irradiance at every nth photon; 0: estimate it at every look-up"
     )
     final_gather_rays: int = Field(64, ge=1, le=16384, description="rays of a final gather")
 

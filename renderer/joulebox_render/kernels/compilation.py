@@ -65,10 +65,10 @@ def mark_compiled() -> None:
 
 ISA = instruction_set()
 CACHE = cache_folder()
-numba.config.CACHE_DIR = str(CACHE)
+numba.config.CACHE_DIR = str(CACHE)  # type: ignore[attr-defined]
 if ISA.startswith("x86-64"):
-    numba.config.CPU_NAME = ISA
-    numba.config.CPU_FEATURES = ""
+    numba.config.CPU_NAME = ISA  # type: ignore[attr-defined]
+    numba.config.CPU_FEATURES = ""  # type: ignore[attr-defined]
 
 kernel = numba.njit(nogil=True, cache=True, fastmath=FAST_MATH, error_model="numpy", boundscheck=False)
-device = numba.njit(nogil=True, cache=True, fastmath=FAST_MATH, error_model="numpy", inline="never")
+device = numba.njit(nogil=True, cache=True, fastmath=FAST_MATH, error_model="numpy", forceinline=True)

@@ -2,8 +2,6 @@
 
 import math
 
-import numpy as np
-
 from joulebox_render.kernels.compilation import device, kernel
 from joulebox_render.kernels.rng import child_key, path_key, sample_2d, uniform
 from joulebox_render.kernels.vector import cosine_direction, from_frame
@@ -115,7 +113,7 @@ def light_sample(tables, light, px, py, pz, u, v):
         if d2 <= tables.light_radius[light] ** 2:
             return 0.0, 0.0, 1.0, 0.0, 0.0
         return sphere_light_sample(tables, light, px, py, pz, u, v)
-    if kind == POINT_LIGHT or kind == SPOT_LIGHT:
+    if kind in (POINT_LIGHT, SPOT_LIGHT):
         qx, qy, qz = tables.light_position[light]
         nx, ny, nz = 0.0, 0.0, 0.0
     else:
@@ -215,7 +213,7 @@ def emit_photons(tables, seed, first, origin, direction, flux, key):
             light += 1
         chance = tables.light_choice[light] - (tables.light_choice[light - 1] if light > 0 else 0.0)
         kind = tables.light_kind[light]
-        if kind == POINT_LIGHT or kind == SPOT_LIGHT:
+        if kind in (POINT_LIGHT, SPOT_LIGHT):
             px, py, pz = tables.light_position[light]
             nx, ny, nz = 0.0, 0.0, 0.0
         else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -34,7 +35,8 @@ class IrradianceRecords(NamedTuple):
     irradiance: F4
 
 
-class DensityEstimate(NamedTuple):
+@dataclass(frozen=True)
+class DensityEstimate:
     """How photons around a point become irradiance."""
 
     photons: PhotonMap
