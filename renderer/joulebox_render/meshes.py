@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from trimesh.exchange.ply import load_ply
-from trimesh.geometry import triangulate_quads
 
 from joulebox_render.errors import SceneError
 from joulebox_render.mesh_obj import MeshFile, read_obj
@@ -56,6 +54,10 @@ def read_mesh(data: bytes, kind: str, file: str) -> MeshFile:
 
 def _read_ply(data: bytes) -> MeshFile:
     """Decode a PLY file, text or binary; raises ValueError."""
+    # Imported when a scene has such a file: trimesh takes most of a second to load.
+    from trimesh.exchange.ply import load_ply
+    from trimesh.geometry import triangulate_quads
+
     try:
         with warnings.catch_warnings():
             # numpy only warns about numbers it cannot parse

@@ -69,7 +69,8 @@ class Lights:
     radiance   (L, 3) f4  emitted radiance [W m^-2 sr^-1] of area lights, intensity [W sr^-1] of point and spot
     position   (L, 3) f4  point/spot: position; rectangle: centre; disk and sphere: centre
     edge_u, edge_v (L, 3) f4  rectangle: half edges, so corners are position +-edge_u +-edge_v; disk: radius vectors
-    normal     (L, 3) f4  unit, side that emits (rectangle, disk); spot: unit direction of its axis
+    normal     (L, 3) f4  unit, side that emits (rectangle, disk); sphere: as Scene.analytic_normal;
+               spot: unit direction of its axis
     radius     (L,) f4  sphere
     area       (L,) f4  [m^2]; 0 for point and spot
     cone_cos   (L, 2) f4  spot: cosines of beam_width and cutoff_angle
@@ -212,19 +213,25 @@ class Tree(NamedTuple):
     plane: F4
 
 
-class Stack(NamedTuple):
-    """Scratch of one thread's tree search: nodes yet to be visited and the squared distance to each."""
+class Scratch(NamedTuple):
+    """What one thread's tree search writes: nodes yet to be visited with the squared distance to each, and a heap of
+    the nearest points found.
+
+    node, low, high (64,) i8, offset2 (64,) f8: deep enough for any tree; distance2 (k,) f4, index (k,) i4.
+    """
 
     node: I8
     low: I8
     high: I8
     offset2: F8
+    distance2: F4
+    index: I4
 
     @classmethod
-    def empty(cls) -> Stack:
-        """Deep enough for any tree of fewer than 2^60 points."""
+    def empty(cls, k: int) -> Scratch:
+        """Room to find `k` points."""
         node, low, high = np.empty((3, 64), np.int64)
-        return cls(node, low, high, np.empty(64, np.float64))
+        return cls(node, low, high, np.empty(64), np.empty(k, np.float32), np.empty(k, np.int32))
 
 
 def _f4(count: int) -> F4:

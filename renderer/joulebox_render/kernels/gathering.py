@@ -6,6 +6,7 @@ import numpy as np
 
 from joulebox_render.kernels.compilation import device, kernel
 from joulebox_render.kernels.kdtree import nearest_points
+from joulebox_render.kernels.vector import row3, set_row3
 
 CONSTANT, CONE, EPANECHNIKOV = 0, 1, 2
 # Jensen's cone filter falls to 1 - 1 / CONE_STEEPNESS at the edge of the disc.
@@ -23,7 +24,7 @@ def kernel_weight(kind, share2):
 
 
 @kernel
-def estimate_irradiance(tree, flux, position, normal, k, reach, cos_limit, filter_kind, stack, irradiance):
+def estimate_irradiance(tree, flux, position, normal, k, reach, cos_limit, filter_kind, scratch, irradiance):
     """Irradiance at points from their nearest photons [W m^-2].
 
     E = sum_p w(d_p / r) flux_p / (pi r^2)
@@ -34,47 +35,43 @@ def estimate_irradiance(tree, flux, position, normal, k, reach, cos_limit, filte
     k / (k - 1) in the mean. With fewer, r is `reach`. Near edges the disc hangs over the surface and the
     estimate is too dark (boundary bias). Source: Jensen 1996, eq. 5; Jensen 2001, section 7.2.
     """
-    distance2 = np.empty(k, np.float32)
-    index = np.empty(k, np.int32)
     for q in range(position.shape[0]):
-        x, y, z = position[q]
-        nx, ny, nz = normal[q]
+        x, y, z = row3(position, q)
+        nx, ny, nz = row3(normal, q)
         found = nearest_points(
-            tree, x, y, z, nx, ny, nz, cos_limit, reach * reach, k, distance2, index, stack
+            tree, x, y, z, nx, ny, nz, cos_limit, reach * reach, k, scratch
         )
         first, radius2 = 0, np.float64(reach) * reach
         if found == k:
-            first, radius2 = 1, np.float64(distance2[0])
+            first, radius2 = 1, np.float64(scratch.distance2[0])
         red, green, blue = 0.0, 0.0, 0.0
         if radius2 > 0.0:
             for i in range(first, found):
-                weight = kernel_weight(filter_kind, distance2[i] / radius2)
-                row = index[i]
+                weight = kernel_weight(filter_kind, scratch.distance2[i] / radius2)
+                row = scratch.index[i]
                 red += weight * flux[row, 0]
                 green += weight * flux[row, 1]
                 blue += weight * flux[row, 2]
             scale = 1.0 / (math.pi * radius2)
             red, green, blue = red * scale, green * scale, blue * scale
-        irradiance[q, 0], irradiance[q, 1], irradiance[q, 2] = red, green, blue
+        set_row3(irradiance, q, red, green, blue)
 
 
 @kernel
-def nearest_irradiance(tree, records, position, normal, reach, cos_limit, stack, irradiance):
+def nearest_irradiance(tree, records, position, normal, reach, cos_limit, scratch, irradiance):
     """Irradiance of the record nearest to each point, 0 where none lies within `reach` [m].
 
     records (R, 3) f4 in the tree's order [W m^-2]; irradiance (Q, 3) f4 is overwritten.
     Source: Christensen 1999.
     """
-    distance2 = np.empty(1, np.float32)
-    index = np.empty(1, np.int32)
     for q in range(position.shape[0]):
-        x, y, z = position[q]
-        nx, ny, nz = normal[q]
+        x, y, z = row3(position, q)
+        nx, ny, nz = row3(normal, q)
         found = nearest_points(
-            tree, x, y, z, nx, ny, nz, cos_limit, reach * reach, 1, distance2, index, stack
+            tree, x, y, z, nx, ny, nz, cos_limit, reach * reach, 1, scratch
         )
         for c in range(3):
-            irradiance[q, c] = records[index[0], c] if found else 0.0
+            irradiance[q, c] = records[scratch.index[0], c] if found else 0.0
 
 
 @kernel

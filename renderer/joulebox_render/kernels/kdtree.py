@@ -10,25 +10,24 @@ import numpy as np
 from joulebox_render.kernels.compilation import device, kernel
 
 LEAF = 12
-STACK = 64
 
 
 @device
-def quickselect(coordinate, order, low, high, middle):
-    """Permute order[low:high] so that the entry at `middle` is the one a sort would put there.
+def quickselect(columns, side, order, low, high, middle):
+    """Permute order[low:high] so that the entry at `middle` is the one a sort by columns[side] would put there.
 
-    coordinate (N,) f4. Hoare's selection with the median of three; ties do not degrade it.
+    Hoare's selection with the median of three; ties do not degrade it.
     """
     last = high - 1
     while low < last:
         center = (low + last) // 2
-        a, b, c = coordinate[order[low]], coordinate[order[center]], coordinate[order[last]]
+        a, b, c = columns[side, order[low]], columns[side, order[center]], columns[side, order[last]]
         pivot = max(min(a, b), min(max(a, b), c))
         i, j = low, last
         while i <= j:
-            while coordinate[order[i]] < pivot:
+            while columns[side, order[i]] < pivot:
                 i += 1
-            while coordinate[order[j]] > pivot:
+            while columns[side, order[j]] > pivot:
                 j -= 1
             if i <= j:
                 order[i], order[j] = order[j], order[i]
@@ -43,20 +42,17 @@ def quickselect(coordinate, order, low, high, middle):
 
 
 @kernel
-def build_tree(columns, order, axis, plane):
+def build_tree(columns, order, axis, plane, scratch):
     """Build the tree over points given as columns (3, N) f4, widest side of the bounding box first.
 
     order (N,) i4 holds 0..N-1 and is permuted into the tree's order; axis (nodes,) i1 and plane (nodes,) f4 are
     overwritten, axis -1 marking a leaf. Ties of coordinates are split by position, so any points may coincide.
     """
-    stack_node = np.empty(STACK, np.int64)
-    stack_low = np.empty(STACK, np.int64)
-    stack_high = np.empty(STACK, np.int64)
-    stack_node[0], stack_low[0], stack_high[0] = 0, 0, order.shape[0]
+    scratch.node[0], scratch.low[0], scratch.high[0] = 0, 0, order.shape[0]
     size = 1
     while size:
         size -= 1
-        node, low, high = stack_node[size], stack_low[size], stack_high[size]
+        node, low, high = scratch.node[size], scratch.low[size], scratch.high[size]
         if high - low <= LEAF:
             axis[node] = -1
             continue
@@ -69,50 +65,50 @@ def build_tree(columns, order, axis, plane):
             if largest - smallest > width:
                 widest, width = a, largest - smallest
         middle = (low + high) // 2
-        quickselect(columns[widest], order, low, high, middle)
+        quickselect(columns, widest, order, low, high, middle)
         axis[node] = widest
         plane[node] = columns[widest, order[middle]]
-        stack_node[size], stack_low[size], stack_high[size] = 2 * node + 1, low, middle
-        stack_node[size + 1], stack_low[size + 1], stack_high[size + 1] = 2 * node + 2, middle, high
+        scratch.node[size], scratch.low[size], scratch.high[size] = 2 * node + 1, low, middle
+        scratch.node[size + 1], scratch.low[size + 1], scratch.high[size + 1] = 2 * node + 2, middle, high
         size += 2
 
 
 @device
-def sift_down(distance2, index, size):
+def sift_down(heap, size):
     """Restore the max-heap after its root changed."""
     parent = 0
-    d, k = distance2[0], index[0]
+    d, k = heap.distance2[0], heap.index[0]
     while True:
         child = 2 * parent + 1
         if child >= size:
             break
-        if child + 1 < size and distance2[child + 1] > distance2[child]:
+        if child + 1 < size and heap.distance2[child + 1] > heap.distance2[child]:
             child += 1
-        if distance2[child] <= d:
+        if heap.distance2[child] <= d:
             break
-        distance2[parent], index[parent] = distance2[child], index[child]
+        heap.distance2[parent], heap.index[parent] = heap.distance2[child], heap.index[child]
         parent = child
-    distance2[parent], index[parent] = d, k
+    heap.distance2[parent], heap.index[parent] = d, k
 
 
 @device
-def sift_up(distance2, index, last):
+def sift_up(heap, last):
     """Restore the max-heap after an entry was put at `last`."""
-    d, k = distance2[last], index[last]
+    d, k = heap.distance2[last], heap.index[last]
     while last > 0:
         parent = (last - 1) // 2
-        if distance2[parent] >= d:
+        if heap.distance2[parent] >= d:
             break
-        distance2[last], index[last] = distance2[parent], index[parent]
+        heap.distance2[last], heap.index[last] = heap.distance2[parent], heap.index[parent]
         last = parent
-    distance2[last], index[last] = d, k
+    heap.distance2[last], heap.index[last] = d, k
 
 
 @device
-def nearest_points(tree, x, y, z, nx, ny, nz, cos_limit, limit2, k, distance2, index, stack):
+def nearest_points(tree, x, y, z, nx, ny, nz, cos_limit, limit2, k, scratch):
     """The k points nearest to (x, y, z) within sqrt(limit2) whose normals lie within the angle of n.
 
-    distance2 (k,) f4 and index (k,) i4 become a max-heap of squared distances and rows of the tree's order;
+    scratch.distance2 and .index (at least k) become a max-heap of squared distances and rows of the tree's order;
     returns how many were found. The result does not depend on how many queries came before it.
     """
     found = 0
@@ -131,8 +127,8 @@ def nearest_points(tree, x, y, z, nx, ny, nz, cos_limit, limit2, k, distance2, i
                 far_node, far_low, far_high = 2 * node + 1, low, middle
                 node, low = 2 * node + 2, middle
             if offset * offset < reach2:
-                stack.node[size], stack.low[size], stack.high[size] = far_node, far_low, far_high
-                stack.offset2[size] = offset * offset
+                scratch.node[size], scratch.low[size], scratch.high[size] = far_node, far_low, far_high
+                scratch.offset2[size] = offset * offset
                 size += 1
         for i in range(low, high):
             dx = tree.position[i, 0] - x
@@ -144,18 +140,18 @@ def nearest_points(tree, x, y, z, nx, ny, nz, cos_limit, limit2, k, distance2, i
             if tree.normal[i, 0] * nx + tree.normal[i, 1] * ny + tree.normal[i, 2] * nz < cos_limit:
                 continue
             if found < k:
-                distance2[found], index[found] = d2, i
-                sift_up(distance2, index, found)
+                scratch.distance2[found], scratch.index[found] = d2, i
+                sift_up(scratch, found)
                 found += 1
             else:
-                distance2[0], index[0] = d2, i
-                sift_down(distance2, index, k)
+                scratch.distance2[0], scratch.index[0] = d2, i
+                sift_down(scratch, k)
             if found == k:
-                reach2 = distance2[0]
+                reach2 = scratch.distance2[0]
         while True:
             if size == 0:
                 return found
             size -= 1
-            if stack.offset2[size] < reach2:
+            if scratch.offset2[size] < reach2:
                 break
-        node, low, high = stack.node[size], stack.low[size], stack.high[size]
+        node, low, high = scratch.node[size], scratch.low[size], scratch.high[size]

@@ -2,9 +2,11 @@
 
 import math
 
+import numpy as np
+
 from joulebox_render.kernels.compilation import device, kernel
 from joulebox_render.kernels.rng import child_key, path_key, sample_2d, uniform
-from joulebox_render.kernels.vector import cosine_direction, from_frame
+from joulebox_render.kernels.vector import cosine_direction, from_frame, row3, set_row3
 
 POINT_LIGHT, SPOT_LIGHT, RECTANGLE_LIGHT, DISK_LIGHT, SPHERE_LIGHT, MESH_LIGHT = 0, 1, 2, 3, 4, 5
 EMISSION_STREAM = 2
@@ -19,6 +21,12 @@ def spot_falloff(cos_axis, cos_beam, cos_cutoff):
         return 1.0
     cutoff = math.acos(cos_cutoff)
     return (cutoff - math.acos(cos_axis)) / (cutoff - math.acos(cos_beam))
+
+
+@device
+def cone_cosines(tables, light):
+    """Cosines of a spot light's beam and cutoff angles."""
+    return tables.light_cone_cos[light, 0], tables.light_cone_cos[light, 1]
 
 
 @device
@@ -38,52 +46,50 @@ def mesh_triangle(tables, light, u):
 
 @device
 def light_point(tables, light, u, v):
-    """Uniform point of an area light and its normal there: (px, py, pz, nx, ny, nz)."""
+    """Uniform point of an area light and its normal there: (px, py, pz, nx, ny, nz).
+
+    A sphere's light_normal is (1, 0, 0), or (-1, 0, 0) where it emits inwards.
+    """
     kind = tables.light_kind[light]
-    cx, cy, cz = tables.light_position[light]
-    nx, ny, nz = tables.light_normal[light]
+    cx, cy, cz = row3(tables.light_position, light)
+    nx, ny, nz = row3(tables.light_normal, light)
     if kind == SPHERE_LIGHT:
         z = 1.0 - 2.0 * u
         r = math.sqrt(max(0.0, 1.0 - z * z))
         phi = 2.0 * math.pi * v
+        side = nx
         nx, ny, nz = r * math.cos(phi), r * math.sin(phi), z
         radius = tables.light_radius[light]
-        return cx + radius * nx, cy + radius * ny, cz + radius * nz, nx, ny, nz
+        return cx + radius * nx, cy + radius * ny, cz + radius * nz, side * nx, side * ny, side * nz
     if kind == MESH_LIGHT:
         triangle, u = mesh_triangle(tables, light, u)
         root = math.sqrt(u)
         b, c = root * (1.0 - v), root * v
         a = 1.0 - b - c
-        i, j, k = tables.triangles[triangle]
-        p, q, r_ = tables.vertices[i], tables.vertices[j], tables.vertices[k]
-        nx, ny, nz = tables.face_normals[triangle]
-        return (
-            a * p[0] + b * q[0] + c * r_[0],
-            a * p[1] + b * q[1] + c * r_[1],
-            a * p[2] + b * q[2] + c * r_[2],
-            nx, ny, nz,
-        )  # fmt: skip
+        i, j, k = row3(tables.triangles, triangle)
+        ix, iy, iz = row3(tables.vertices, i)
+        jx, jy, jz = row3(tables.vertices, j)
+        kx, ky, kz = row3(tables.vertices, k)
+        nx, ny, nz = row3(tables.face_normals, triangle)
+        return a * ix + b * jx + c * kx, a * iy + b * jy + c * ky, a * iz + b * jz + c * kz, nx, ny, nz
     if kind == DISK_LIGHT:
         r = math.sqrt(u)
         x, y = r * math.cos(2.0 * math.pi * v), r * math.sin(2.0 * math.pi * v)
     else:
         x, y = 2.0 * u - 1.0, 2.0 * v - 1.0
-    eu, ev = tables.light_edge_u[light], tables.light_edge_v[light]
-    return (
-        cx + x * eu[0] + y * ev[0],
-        cy + x * eu[1] + y * ev[1],
-        cz + x * eu[2] + y * ev[2],
-        nx, ny, nz,
-    )  # fmt: skip
+    ux, uy, uz = row3(tables.light_edge_u, light)
+    vx, vy, vz = row3(tables.light_edge_v, light)
+    return cx + x * ux + y * vx, cy + x * uy + y * vy, cz + x * uz + y * vz, nx, ny, nz
 
 
 @device
 def sphere_light_sample(tables, light, px, py, pz, u, v):
     """Direction uniform in the cone of a sphere seen from outside: (dx, dy, dz, distance, solid angle)."""
-    cx, cy, cz = tables.light_position[light]
-    ax, ay, az = cx - px, cy - py, cz - pz
+    cx, cy, cz = row3(tables.light_position, light)
+    # In double precision: r2 is a small difference of squares for small, distant spheres.
+    ax, ay, az = np.float64(cx) - px, np.float64(cy) - py, np.float64(cz) - pz
     d2 = ax * ax + ay * ay + az * az
-    r2 = tables.light_radius[light] ** 2
+    r2 = np.float64(tables.light_radius[light]) ** 2
     inverse = 1.0 / math.sqrt(d2)
     sin2_max = r2 / d2
     # 1 - cos(theta_max) without cancellation for small, distant spheres.
@@ -107,14 +113,14 @@ def light_sample(tables, light, px, py, pz, u, v):
     intensity / distance^2 for point and spot lights; 0 where the light does not shine at the point.
     """
     kind = tables.light_kind[light]
-    if kind == SPHERE_LIGHT:
-        cx, cy, cz = tables.light_position[light]
+    if kind == SPHERE_LIGHT and tables.light_normal[light, 0] > 0.0:
+        cx, cy, cz = row3(tables.light_position, light)
         d2 = (cx - px) ** 2 + (cy - py) ** 2 + (cz - pz) ** 2
         if d2 <= tables.light_radius[light] ** 2:
             return 0.0, 0.0, 1.0, 0.0, 0.0
         return sphere_light_sample(tables, light, px, py, pz, u, v)
     if kind in (POINT_LIGHT, SPOT_LIGHT):
-        qx, qy, qz = tables.light_position[light]
+        qx, qy, qz = row3(tables.light_position, light)
         nx, ny, nz = 0.0, 0.0, 0.0
     else:
         qx, qy, qz, nx, ny, nz = light_point(tables, light, u, v)
@@ -127,10 +133,10 @@ def light_sample(tables, light, px, py, pz, u, v):
     if kind == POINT_LIGHT:
         return dx, dy, dz, distance, 1.0 / d2
     if kind == SPOT_LIGHT:
-        axis = tables.light_normal[light]
-        cos_axis = -(dx * axis[0] + dy * axis[1] + dz * axis[2])
-        cone = tables.light_cone_cos[light]
-        return dx, dy, dz, distance, spot_falloff(cos_axis, cone[0], cone[1]) / d2
+        ax, ay, az = row3(tables.light_normal, light)
+        cos_axis = -(dx * ax + dy * ay + dz * az)
+        beam, cutoff = cone_cosines(tables, light)
+        return dx, dy, dz, distance, spot_falloff(cos_axis, beam, cutoff) / d2
     cos_light = -(dx * nx + dy * ny + dz * nz)
     return dx, dy, dz, distance, max(0.0, cos_light) * tables.light_area[light] / d2
 
@@ -145,9 +151,9 @@ def shadow_rays(tables, light, count, columns, points, first, last, origin, dire
     """
     written = 0
     for row in range(first, last):
-        px, py, pz = points.position[row]
-        nx, ny, nz = points.normal[row]
-        gx, gy, gz = points.geometric[row]
+        px, py, pz = row3(points.position, row)
+        nx, ny, nz = row3(points.normal, row)
+        gx, gy, gz = row3(points.geometric, row)
         key = child_key(points.key[row], 1000 + light)
         for i in range(count):
             u, v = sample_2d(key, 1, i, count, columns)
@@ -156,8 +162,8 @@ def shadow_rays(tables, light, count, columns, points, first, last, origin, dire
             if scale <= 0.0 or cos_point <= 0.0 or dx * gx + dy * gy + dz * gz <= 0.0:
                 continue
             weight = scale * cos_point / (math.pi * count)
-            origin[written, 0], origin[written, 1], origin[written, 2] = px, py, pz
-            direction[written, 0], direction[written, 1], direction[written, 2] = dx, dy, dz
+            set_row3(origin, written, px, py, pz)
+            set_row3(direction, written, dx, dy, dz)
             limit[written] = distance * (1.0 - 1e-4)
             for c in range(3):
                 value[written, c] = points.albedo[row, c] * tables.light_radiance[light, c] * weight
@@ -184,12 +190,12 @@ def emitted_direction(tables, light, nx, ny, nz, u, v):
         r = math.sqrt(max(0.0, 1.0 - z * z))
         return r * math.cos(2.0 * math.pi * v), r * math.sin(2.0 * math.pi * v), z, 1.0
     if kind == SPOT_LIGHT:
-        cone = tables.light_cone_cos[light]
-        z = 1.0 - u * (1.0 - cone[1])
+        beam, cutoff = cone_cosines(tables, light)
+        z = 1.0 - u * (1.0 - cutoff)
         r = math.sqrt(max(0.0, 1.0 - z * z))
-        ax, ay, az = tables.light_normal[light]
+        ax, ay, az = row3(tables.light_normal, light)
         dx, dy, dz = from_frame(ax, ay, az, r * math.cos(2.0 * math.pi * v), r * math.sin(2.0 * math.pi * v), z)
-        return dx, dy, dz, spot_falloff(z, cone[0], cone[1])
+        return dx, dy, dz, spot_falloff(z, beam, cutoff)
     dx, dy, dz = cosine_direction(nx, ny, nz, u, v)
     return dx, dy, dz, 1.0
 
@@ -214,7 +220,7 @@ def emit_photons(tables, seed, first, origin, direction, flux, key):
         chance = tables.light_choice[light] - (tables.light_choice[light - 1] if light > 0 else 0.0)
         kind = tables.light_kind[light]
         if kind in (POINT_LIGHT, SPOT_LIGHT):
-            px, py, pz = tables.light_position[light]
+            px, py, pz = row3(tables.light_position, light)
             nx, ny, nz = 0.0, 0.0, 0.0
         else:
             px, py, pz, nx, ny, nz = light_point(
@@ -231,5 +237,5 @@ def emit_photons(tables, seed, first, origin, direction, flux, key):
         else:
             for c in range(3):
                 flux[i, c] = tables.light_power[light, c] / chance
-        origin[i, 0], origin[i, 1], origin[i, 2] = px + epsilon * nx, py + epsilon * ny, pz + epsilon * nz
-        direction[i, 0], direction[i, 1], direction[i, 2] = dx, dy, dz
+        set_row3(origin, i, px + epsilon * nx, py + epsilon * ny, pz + epsilon * nz)
+        set_row3(direction, i, dx, dy, dz)

@@ -4,7 +4,7 @@ from joulebox_render.kernels.compilation import kernel
 from joulebox_render.kernels.rng import child_key, uniform
 from joulebox_render.kernels.surface import face_forward, surface_normals
 from joulebox_render.kernels.transport import glass_bounce, push_ray
-from joulebox_render.kernels.vector import cosine_direction, reflected
+from joulebox_render.kernels.vector import cosine_direction, reflected, row3, set_row3
 
 DIFFUSE, MIRROR, GLASS = 0, 1, 2
 FIRST_HIT, CAUSTIC, BOUNCED = 0, 1, 2
@@ -28,10 +28,10 @@ def scatter(tables, store_at_every_bounce, rays, history, hits, stored, followin
     stored_count, ray_count = 0, 0
     for i in range(rays.origin.shape[0]):
         primitive = hits.primitive[i]
-        fx, fy, fz = rays.weight[i]
+        fx, fy, fz = row3(rays.weight, i)
         if primitive < 0 or fx + fy + fz <= 0.0:
             continue
-        dx, dy, dz = rays.direction[i]
+        dx, dy, dz = row3(rays.direction, i)
         t = hits.distance[i]
         px, py, pz = rays.origin[i, 0] + t * dx, rays.origin[i, 1] + t * dy, rays.origin[i, 2] + t * dz
         gx, gy, gz, sx, sy, sz = surface_normals(tables, primitive, px, py, pz, hits.u[i], hits.v[i])
@@ -40,7 +40,7 @@ def scatter(tables, store_at_every_bounce, rays, history, hits, stored, followin
         kind = tables.material_kind[material]
         key, number = rays.key[i], rays.owner[i]
         ex, ey, ez = epsilon * gx, epsilon * gy, epsilon * gz
-        ax, ay, az = tables.material_albedo[material]
+        ax, ay, az = row3(tables.material_albedo, material)
         sees = front or tables.material_two_sided[material]
         keep = (fx * ax + fy * ay + fz * az) / (fx + fy + fz)
         survives = uniform(key, 0) < keep
@@ -68,13 +68,9 @@ def scatter(tables, store_at_every_bounce, rays, history, hits, stored, followin
         elif kind == DIFFUSE and sees:
             if store_at_every_bounce or not survives:
                 scale = 1.0 if store_at_every_bounce else 1.0 / (1.0 - keep)
-                stored.position[stored_count, 0] = px
-                stored.position[stored_count, 1] = py
-                stored.position[stored_count, 2] = pz
-                stored.normal[stored_count, 0], stored.normal[stored_count, 1] = sx, sy
-                stored.normal[stored_count, 2] = sz
-                stored.flux[stored_count, 0], stored.flux[stored_count, 1] = fx * scale, fy * scale
-                stored.flux[stored_count, 2] = fz * scale
+                set_row3(stored.position, stored_count, px, py, pz)
+                set_row3(stored.normal, stored_count, sx, sy, sz)
+                set_row3(stored.flux, stored_count, fx * scale, fy * scale, fz * scale)
                 stored.history[stored_count] = history[i]
                 stored.number[stored_count] = number
                 stored_count += 1

@@ -50,16 +50,16 @@ def sample_2d(key, dimension, i, count, columns):
     """Sample `i` of `count` in the unit square, uses two dimensions a sample from `dimension` on.
 
     columns > 0: jittered grid of columns x (count / columns) cells.
-    columns == 0: Latin square on a lattice with a random shift, for counts without a squarish factorisation.
-    columns < 0: independent.
+    columns == -1: independent.
+    columns < -1: Latin square on a lattice of step -columns, which shares no factor with the count, with a random
+    shift; for counts without a squarish factorisation.
     """
     u = uniform(key, dimension + 2 * i)
     v = uniform(key, dimension + 2 * i + 1)
-    if columns < 0:
+    if columns == -1:
         return u, v
-    if columns == 0:
-        step = np.int64(count * 0.6180339887498949) | 1
+    if columns < -1:
         shift = np.int64(uniform(key, dimension - 1) * count)
-        return (i + u) / count, ((i * step + shift) % count + v) / count
+        return (i + u) / count, ((shift - i * columns) % count + v) / count
     rows = count // columns
     return (i % columns + u) / columns, (i // columns + v) / rows

@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from joulebox_render.kernels.compilation import device, kernel
-from joulebox_render.kernels.vector import normalized
+from joulebox_render.kernels.vector import normalized, row3
 
 SPHERE = 0
 
@@ -33,7 +33,7 @@ def analytic_distance(tables, shape, ox, oy, oz, dx, dy, dz):
         half = math.sqrt(discriminant)
         near = -along - half
         return near if near > 0.0 else -along + half
-    nx, ny, nz = tables.analytic_normal[shape]
+    nx, ny, nz = row3(tables.analytic_normal, shape)
     slope = nx * dx + ny * dy + nz * dz
     if slope == 0.0:
         return -1.0
@@ -50,8 +50,8 @@ def closest_analytic(tables, origin, direction, distance, primitive):
     """
     triangle_count = tables.triangles.shape[0]
     for i in range(origin.shape[0]):
-        ox, oy, oz = origin[i]
-        dx, dy, dz = direction[i]
+        ox, oy, oz = row3(origin, i)
+        dx, dy, dz = row3(direction, i)
         for shape in range(tables.analytic_kind.shape[0]):
             t = analytic_distance(tables, shape, ox, oy, oz, dx, dy, dz)
             if 0.0 < t < distance[i]:
@@ -65,8 +65,8 @@ def occluded_analytic(tables, origin, direction, limit, blocked):
     for i in range(origin.shape[0]):
         if blocked[i]:
             continue
-        ox, oy, oz = origin[i]
-        dx, dy, dz = direction[i]
+        ox, oy, oz = row3(origin, i)
+        dx, dy, dz = row3(direction, i)
         for shape in range(tables.analytic_kind.shape[0]):
             t = analytic_distance(tables, shape, ox, oy, oz, dx, dy, dz)
             if 0.0 < t < limit[i]:
@@ -75,28 +75,40 @@ def occluded_analytic(tables, origin, direction, limit, blocked):
 
 
 @device
+def analytic_normal(tables, shape, px, py, pz):
+    """Unit normal of an analytic shape at a point of it."""
+    nx, ny, nz = row3(tables.analytic_normal, shape)
+    if tables.analytic_kind[shape] == SPHERE:
+        side = nx
+        nx, ny, nz = normalized(
+            side * (px - tables.analytic_center[shape, 0]),
+            side * (py - tables.analytic_center[shape, 1]),
+            side * (pz - tables.analytic_center[shape, 2]),
+        )
+    return nx, ny, nz
+
+
+@device
+def interpolated(tables, triangle, u, v, c):
+    """Component c of a triangle's shading normal at barycentric (u, v), not normalised."""
+    a = (1.0 - u - v) * tables.corner_normals[triangle, 0, c]
+    return a + u * tables.corner_normals[triangle, 1, c] + v * tables.corner_normals[triangle, 2, c]
+
+
+@device
 def surface_normals(tables, primitive, px, py, pz, u, v):
     """Geometric and shading normal at a point of a primitive, both unit and on its front side."""
     triangle_count = tables.triangles.shape[0]
     if primitive >= triangle_count:
-        shape = primitive - triangle_count
-        nx, ny, nz = tables.analytic_normal[shape]
-        if tables.analytic_kind[shape] == SPHERE:
-            side = nx
-            nx, ny, nz = normalized(
-                side * (px - tables.analytic_center[shape, 0]),
-                side * (py - tables.analytic_center[shape, 1]),
-                side * (pz - tables.analytic_center[shape, 2]),
-            )
-        return nx, ny, nz, nx, ny, nz
-    gx, gy, gz = tables.face_normals[primitive]
-    c = tables.corner_normals[primitive]
-    w = 1.0 - u - v
-    sx, sy, sz = normalized(
-        w * c[0, 0] + u * c[1, 0] + v * c[2, 0],
-        w * c[0, 1] + u * c[1, 1] + v * c[2, 1],
-        w * c[0, 2] + u * c[1, 2] + v * c[2, 2],
-    )
+        gx, gy, gz = analytic_normal(tables, primitive - triangle_count, px, py, pz)
+        sx, sy, sz = gx, gy, gz
+    else:
+        gx, gy, gz = row3(tables.face_normals, primitive)
+        sx, sy, sz = normalized(
+            interpolated(tables, primitive, u, v, 0),
+            interpolated(tables, primitive, u, v, 1),
+            interpolated(tables, primitive, u, v, 2),
+        )
     return gx, gy, gz, sx, sy, sz
 
 

@@ -1,13 +1,10 @@
 """Paths from the eye and into the scene: camera rays, and what a ray does where it hits."""
 
-import math
-
-import numpy as np
 
 from joulebox_render.kernels.compilation import device, kernel
 from joulebox_render.kernels.rng import child_key, path_key, sample_2d, uniform
 from joulebox_render.kernels.surface import face_forward, surface_normals
-from joulebox_render.kernels.vector import cosine_direction, fresnel, reflected, refracted
+from joulebox_render.kernels.vector import cosine_direction, fresnel, normalized, reflected, refracted, row3, set_row3
 
 DIFFUSE, MIRROR, GLASS = 0, 1, 2
 CAMERA_STREAM = 1
@@ -36,30 +33,27 @@ def camera_rays(seed, first_pixel, samples, columns, jitter, width, height, fram
         elif columns > 0:
             u = (sample % columns + 0.5) / columns
             v = (sample // columns + 0.5) / (samples // columns)
+        elif columns < -1:
+            u, v = (sample + 0.5) / samples, ((-sample * columns) % samples + 0.5) / samples
         else:
-            step = np.int64(samples * 0.6180339887498949) | 1
-            u, v = (sample + 0.5) / samples, ((sample * step) % samples + 0.5) / samples
+            u, v = 0.5, 0.5
         x = 2.0 * (pixel % width + u) / width - 1.0
         y = 2.0 * (pixel // width + v) / height - 1.0
         dx = frame[3, 0] + x * frame[1, 0] + y * frame[2, 0]
         dy = frame[3, 1] + x * frame[1, 1] + y * frame[2, 1]
         dz = frame[3, 2] + x * frame[1, 2] + y * frame[2, 2]
-        for c in range(3):
-            origin[i, c] = frame[0, c]
-        scale = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
-        direction[i, 0], direction[i, 1], direction[i, 2] = dx * scale, dy * scale, dz * scale
-        origin[i, 0] += near * dx
-        origin[i, 1] += near * dy
-        origin[i, 2] += near * dz
+        set_row3(origin, i, frame[0, 0] + near * dx, frame[0, 1] + near * dy, frame[0, 2] + near * dz)
+        dx, dy, dz = normalized(dx, dy, dz)
+        set_row3(direction, i, dx, dy, dz)
         key[i] = child_key(pixel_key, sample)
 
 
 @device
 def push_ray(rays, row, px, py, pz, dx, dy, dz, wx, wy, wz, owner, key):
     """Write one ray into row `row` of a queue."""
-    rays.origin[row, 0], rays.origin[row, 1], rays.origin[row, 2] = px, py, pz
-    rays.direction[row, 0], rays.direction[row, 1], rays.direction[row, 2] = dx, dy, dz
-    rays.weight[row, 0], rays.weight[row, 1], rays.weight[row, 2] = wx, wy, wz
+    set_row3(rays.origin, row, px, py, pz)
+    set_row3(rays.direction, row, dx, dy, dz)
+    set_row3(rays.weight, row, wx, wy, wz)
     rays.owner[row] = owner
     rays.key[row] = key
 
@@ -100,12 +94,12 @@ def advance(tables, split, emission, rays, hits, radiance, points, following):
         primitive = hits.primitive[i]
         if primitive < 0:
             continue
-        dx, dy, dz = rays.direction[i]
+        dx, dy, dz = row3(rays.direction, i)
         t = hits.distance[i]
         px, py, pz = rays.origin[i, 0] + t * dx, rays.origin[i, 1] + t * dy, rays.origin[i, 2] + t * dz
         gx, gy, gz, sx, sy, sz = surface_normals(tables, primitive, px, py, pz, hits.u[i], hits.v[i])
         front, gx, gy, gz, sx, sy, sz = face_forward(gx, gy, gz, sx, sy, sz, dx, dy, dz)
-        wx, wy, wz = rays.weight[i]
+        wx, wy, wz = row3(rays.weight, i)
         owner, key = rays.owner[i], rays.key[i]
         light = tables.light[primitive]
         if emission and light >= 0 and front:
@@ -114,7 +108,7 @@ def advance(tables, split, emission, rays, hits, radiance, points, following):
             radiance[owner, 2] += wz * tables.light_radiance[light, 2]
         material = tables.material[primitive]
         kind = tables.material_kind[material]
-        ax, ay, az = tables.material_albedo[material]
+        ax, ay, az = row3(tables.material_albedo, material)
         ex, ey, ez = epsilon * gx, epsilon * gy, epsilon * gz
         if kind == DIFFUSE:
             weight = max(wx, wy, wz)
@@ -123,17 +117,11 @@ def advance(tables, split, emission, rays, hits, radiance, points, following):
                     continue
                 wx, wy, wz = wx * POINT_WEIGHT / weight, wy * POINT_WEIGHT / weight, wz * POINT_WEIGHT / weight
             if front or tables.material_two_sided[material]:
-                points.position[point_count, 0] = px + ex
-                points.position[point_count, 1] = py + ey
-                points.position[point_count, 2] = pz + ez
-                points.normal[point_count, 0], points.normal[point_count, 1] = sx, sy
-                points.normal[point_count, 2] = sz
-                points.geometric[point_count, 0], points.geometric[point_count, 1] = gx, gy
-                points.geometric[point_count, 2] = gz
-                points.albedo[point_count, 0], points.albedo[point_count, 1] = ax, ay
-                points.albedo[point_count, 2] = az
-                points.weight[point_count, 0], points.weight[point_count, 1] = wx, wy
-                points.weight[point_count, 2] = wz
+                set_row3(points.position, point_count, px + ex, py + ey, pz + ez)
+                set_row3(points.normal, point_count, sx, sy, sz)
+                set_row3(points.geometric, point_count, gx, gy, gz)
+                set_row3(points.albedo, point_count, ax, ay, az)
+                set_row3(points.weight, point_count, wx, wy, wz)
                 points.owner[point_count] = owner
                 points.key[point_count] = key
                 points.distance[point_count] = t
@@ -179,9 +167,9 @@ def gather_rays(points, first, last, count, columns, rays):
     """
     row = 0
     for point in range(first, last):
-        px, py, pz = points.position[point]
-        nx, ny, nz = points.normal[point]
-        ax, ay, az = points.albedo[point]
+        px, py, pz = row3(points.position, point)
+        nx, ny, nz = row3(points.normal, point)
+        ax, ay, az = row3(points.albedo, point)
         key = child_key(points.key[point], GATHER_BRANCH)
         for i in range(count):
             u, v = sample_2d(key, 1, i, count, columns)
@@ -212,8 +200,8 @@ def continue_paths(points, bounce, rays):
             chance = min(0.95, max(wx, wy, wz) / before) if before > 0.0 else 0.0
             if uniform(key, 0) >= chance:
                 continue
-        px, py, pz = points.position[point]
-        nx, ny, nz = points.normal[point]
+        px, py, pz = row3(points.position, point)
+        nx, ny, nz = row3(points.normal, point)
         dx, dy, dz = cosine_direction(nx, ny, nz, uniform(key, 1), uniform(key, 2))
         push_ray(
             rays, row, px, py, pz, dx, dy, dz,

@@ -6,6 +6,18 @@ from joulebox_render.kernels.compilation import device
 
 
 @device
+def row3(array, row):
+    """The three numbers of a row. Element by element: a view of the row costs a reference count each time."""
+    return array[row, 0], array[row, 1], array[row, 2]
+
+
+@device
+def set_row3(array, row, x, y, z):
+    """Overwrite a row of three numbers."""
+    array[row, 0], array[row, 1], array[row, 2] = x, y, z
+
+
+@device
 def normalized(x, y, z):
     """The unit vector along (x, y, z)."""
     scale = 1.0 / math.sqrt(x * x + y * y + z * z)

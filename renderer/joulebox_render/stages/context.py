@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from joulebox_render.intersect import Intersector
@@ -22,11 +23,14 @@ class Context:
     pool: WorkerPool
 
     def columns(self, count: int) -> int:
-        """How `sample_2d` places `count` samples: columns of a grid, 0 a Latin square, -1 independent.
+        """How `sample_2d` places `count` samples: columns of a grid, -1 independent, else -step of a Latin square.
 
-        A grid is used where its cells are no more than four times as long as wide.
+        A grid is used where its cells are no more than four times as long as wide; a Latin square's step is near
+        the golden section of the count and shares no factor with it.
         """
         if self.settings.sampler == "independent":
             return -1
         columns = next(c for c in range(int(count**0.5), 0, -1) if count % c == 0)
-        return columns if columns * columns * 4 >= count else 0
+        if columns * columns * 4 >= count:
+            return columns
+        return -next(step for step in range(int(count * 0.6180339887498949), count) if math.gcd(step, count) == 1)

@@ -15,7 +15,7 @@ from joulebox_render.kernels.gathering import (
     reflect_irradiance,
 )
 from joulebox_render.kernels.transport import continue_paths, gather_rays
-from joulebox_render.records import F4, F8, Points, Rays, Stack, Tree, rows
+from joulebox_render.records import F4, F8, Points, Rays, Scratch, Tree, rows
 from joulebox_render.stages.context import Context
 from joulebox_render.stages.direct import sample_lights
 from joulebox_render.stages.paths import follow_to_diffuse, join
@@ -50,7 +50,7 @@ class DensityEstimate:
         irradiance = np.empty((len(position), 3), np.float32)
         estimate_irradiance(
             self.photons.tree, self.photons.flux, position, normal, self.count, self.reach_m,
-            self.cos_limit, self.filter_kind, Stack.empty(), irradiance,
+            self.cos_limit, self.filter_kind, Scratch.empty(self.count), irradiance,
         )  # fmt: skip
         return irradiance
 
@@ -169,6 +169,6 @@ def _look_up(estimate: DensityEstimate, records: IrradianceRecords | None, point
     irradiance = np.empty((len(points.owner), 3), np.float32)
     nearest_irradiance(
         records.tree, records.irradiance, points.position, points.normal,
-        estimate.reach_m, estimate.cos_limit, Stack.empty(), irradiance,
+        estimate.reach_m, estimate.cos_limit, Scratch.empty(1), irradiance,
     )  # fmt: skip
     return irradiance

@@ -9,7 +9,7 @@ import numpy as np
 from joulebox_render.kernels.kdtree import LEAF, build_tree
 from joulebox_render.kernels.lighting import emit_photons
 from joulebox_render.kernels.photons import scatter
-from joulebox_render.records import F4, Photons, Rays, Tree, rows
+from joulebox_render.records import F4, Photons, Rays, Scratch, Tree, rows
 from joulebox_render.stages.context import Context
 
 FIRST_HIT, CAUSTIC, BOUNCED = 0, 1, 2
@@ -44,10 +44,14 @@ class Emission:
 
 
 class _Collector:
-    """Takes photons of some histories, in the order of emission, until it holds `wanted`."""
+    """Takes photons of some histories, in the order of emission, until it holds `wanted`.
+
+    Emissions beyond its own bound, made for another map's sake, do not count for it.
+    """
 
     def __init__(self, wanted: int, histories: tuple[int, ...]) -> None:
         self.wanted = wanted
+        self._bound = EMITTED_PER_STORED * wanted
         self.parts: list[Photons] = []
         self.stored = 0
         self.emitted = 0
@@ -61,19 +65,20 @@ class _Collector:
         """Add one chunk; `emitted` counts all photons emitted up to its end."""
         if self.full:
             return
-        chosen = np.flatnonzero(self._chosen[photons.history])[: self.wanted - self.stored]
+        chosen = np.flatnonzero(self._chosen[photons.history] & (photons.number < self._bound))
+        chosen = chosen[: self.wanted - self.stored]
         self.parts.append(Photons(*rows(photons, chosen)))
         self.stored += len(chosen)
         # A full map's last photon tells how many emissions filled it.
-        self.emitted = int(photons.number[chosen[-1]]) + 1 if self.full else emitted
+        self.emitted = int(photons.number[chosen[-1]]) + 1 if self.full else min(emitted, self._bound)
 
     def needs(self, emitted: int) -> int:
         """Emissions still needed at the yield so far, 0 once full or out of tries."""
         if self.full:
             return 0
-        share = self.stored / emitted if self.stored else 1.0
+        share = self.stored / self.emitted if self.stored else 1.0
         needed = int((self.wanted - self.stored) / share * 1.02) + 1
-        return max(0, min(needed, EMITTED_PER_STORED * self.wanted - emitted))
+        return max(0, min(needed, self._bound - emitted))
 
 
 def emit_and_store(context: Context) -> Emission:
@@ -133,7 +138,7 @@ def grow_tree(position: F4, normal: F4) -> tuple[Tree, np.ndarray]:
     axis = np.full(nodes, -1, np.int8)
     plane = np.zeros(nodes, np.float32)
     if count:
-        build_tree(np.ascontiguousarray(position.T), order, axis, plane)
+        build_tree(np.ascontiguousarray(position.T), order, axis, plane, Scratch.empty(1))
     return Tree(np.ascontiguousarray(position[order]), np.ascontiguousarray(normal[order]), axis, plane), order
 
 
