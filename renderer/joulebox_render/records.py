@@ -217,7 +217,7 @@ class Scratch(NamedTuple):
     """What one thread's tree search writes: nodes yet to be visited with the squared distance to each, and a heap of
     the nearest points found.
 
-    node, low, high (64,) i8, offset2 (64,) f8: deep enough for any tree; distance2 (k,) f4, index (k,) i4.
+    node, low, high (64,) i8, offset2 (64,) f8: deep enough for any tree; distance2 (k,) f4, row (k,) i4.
     """
 
     node: I8
@@ -225,7 +225,7 @@ class Scratch(NamedTuple):
     high: I8
     offset2: F8
     distance2: F4
-    index: I4
+    row: I4
 
     @classmethod
     def empty(cls, k: int) -> Scratch:

@@ -13,6 +13,7 @@ import os
 import platform
 import sys
 from pathlib import Path
+from typing import Any
 
 import llvmlite
 import llvmlite.binding as llvm
@@ -72,5 +73,6 @@ if ISA.startswith("x86-64"):
 
 # Without numba's runtime a kernel cannot allocate, and need not: callers hand in all arrays. What it buys is that
 # passing the scene's arrays to a device function no longer counts references: 4.5x on the step of a path.
-kernel = numba.njit(nogil=True, cache=True, fastmath=FAST_MATH, error_model="numpy", boundscheck=False, _nrt=False)
-device = numba.njit(nogil=True, fastmath=FAST_MATH, error_model="numpy", forceinline=True, _nrt=False)
+_njit: Any = numba.njit  # `_nrt` is not in numba's annotations
+kernel = _njit(nogil=True, cache=True, fastmath=FAST_MATH, error_model="numpy", boundscheck=False, _nrt=False)
+device = _njit(nogil=True, fastmath=FAST_MATH, error_model="numpy", forceinline=True, _nrt=False)

@@ -48,7 +48,7 @@ def estimate_irradiance(tree, flux, position, normal, k, reach, cos_limit, filte
         if radius2 > 0.0:
             for i in range(first, found):
                 weight = kernel_weight(filter_kind, scratch.distance2[i] / radius2)
-                row = scratch.index[i]
+                row = scratch.row[i]
                 red += weight * flux[row, 0]
                 green += weight * flux[row, 1]
                 blue += weight * flux[row, 2]
@@ -71,7 +71,7 @@ def nearest_irradiance(tree, records, position, normal, reach, cos_limit, scratc
             tree, x, y, z, nx, ny, nz, cos_limit, reach * reach, 1, scratch
         )
         for c in range(3):
-            irradiance[q, c] = records[scratch.index[0], c] if found else 0.0
+            irradiance[q, c] = records[scratch.row[0], c] if found else 0.0
 
 
 @kernel

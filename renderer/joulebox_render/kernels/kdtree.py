@@ -77,7 +77,7 @@ def build_tree(columns, order, axis, plane, scratch):
 def sift_down(heap, size):
     """Restore the max-heap after its root changed."""
     parent = 0
-    d, k = heap.distance2[0], heap.index[0]
+    d, k = heap.distance2[0], heap.row[0]
     while True:
         child = 2 * parent + 1
         if child >= size:
@@ -86,29 +86,29 @@ def sift_down(heap, size):
             child += 1
         if heap.distance2[child] <= d:
             break
-        heap.distance2[parent], heap.index[parent] = heap.distance2[child], heap.index[child]
+        heap.distance2[parent], heap.row[parent] = heap.distance2[child], heap.row[child]
         parent = child
-    heap.distance2[parent], heap.index[parent] = d, k
+    heap.distance2[parent], heap.row[parent] = d, k
 
 
 @device
 def sift_up(heap, last):
     """Restore the max-heap after an entry was put at `last`."""
-    d, k = heap.distance2[last], heap.index[last]
+    d, k = heap.distance2[last], heap.row[last]
     while last > 0:
         parent = (last - 1) // 2
         if heap.distance2[parent] >= d:
             break
-        heap.distance2[last], heap.index[last] = heap.distance2[parent], heap.index[parent]
+        heap.distance2[last], heap.row[last] = heap.distance2[parent], heap.row[parent]
         last = parent
-    heap.distance2[last], heap.index[last] = d, k
+    heap.distance2[last], heap.row[last] = d, k
 
 
 @device
 def nearest_points(tree, x, y, z, nx, ny, nz, cos_limit, limit2, k, scratch):
     """The k points nearest to (x, y, z) within sqrt(limit2) whose normals lie within the angle of n.
 
-    scratch.distance2 and .index (at least k) become a max-heap of squared distances and rows of the tree's order;
+    scratch.distance2 and .row (at least k) become a max-heap of squared distances and rows of the tree's order;
     returns how many were found. The result does not depend on how many queries came before it.
     """
     found = 0
@@ -140,11 +140,11 @@ def nearest_points(tree, x, y, z, nx, ny, nz, cos_limit, limit2, k, scratch):
             if tree.normal[i, 0] * nx + tree.normal[i, 1] * ny + tree.normal[i, 2] * nz < cos_limit:
                 continue
             if found < k:
-                scratch.distance2[found], scratch.index[found] = d2, i
+                scratch.distance2[found], scratch.row[found] = d2, i
                 sift_up(scratch, found)
                 found += 1
             else:
-                scratch.distance2[0], scratch.index[0] = d2, i
+                scratch.distance2[0], scratch.row[0] = d2, i
                 sift_down(scratch, k)
             if found == k:
                 reach2 = scratch.distance2[0]
