@@ -15,6 +15,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from joulebox_render import __version__
+from joulebox_render.cli_scenes import DefineOption, JsonOption, SceneArgument, read_defines, scenes_app
 from joulebox_render.errors import RenderError, SettingsError
 from joulebox_render.settings import (
     Settings,
@@ -28,16 +29,12 @@ app = typer.Typer(
     no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
     help="Photon mapping renderer of joulebox: what a picture costs, stage by stage.",
 )  # fmt: skip
-scenes_app = typer.Typer(no_args_is_help=True, help="The scenes shipped with the renderer, and checks of others.")
 app.add_typer(scenes_app, name="scenes")
 messages = Console(stderr=True)
 
-SceneArgument = Annotated[str, typer.Argument(help="Folder with scene.xml, an .xml file, or a shipped scene's name.")]
 SetOption = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A setting; may repeat.")]
 FileOption = Annotated[Path | None, typer.Option("--settings", help="JSON or TOML file of settings.")]
 PresetOption = Annotated[str | None, typer.Option("--preset", help="draft, balanced, fine or reference.")]
-DefineOption = Annotated[list[str] | None, typer.Option("-D", metavar="NAME=VALUE", help="A scene parameter.")]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 
 @app.command()
@@ -58,6 +55,8 @@ def render(
     chosen = _settings(set_, settings, preset)
     if not (output or png or report or json_):
         raise SettingsError("nothing would be kept of this render: give -o picture.exr, --png, --report or --json")
+    for path in (output, png, report):
+        _check_target(path)
     with _session(scene, chosen, define) as session:
         for note in session.scene.notes:
             messages.print(f"note: {note}", style="dim", highlight=False)
@@ -96,6 +95,7 @@ def loop(
     """Render again and again, writing JSON lines (ready, stage, image, done) for an energy meter."""
     from joulebox_render.loop import run_loop
 
+    _check_target(output)
     stop_asked: list[int] = []
     for name in ("SIGTERM", "SIGINT"):
         signal.signal(getattr(signal, name), lambda number, _frame: stop_asked.append(number))
@@ -116,7 +116,7 @@ def plan(
     from joulebox_render.plan import make_plan
     from joulebox_render.scene import load_scene
 
-    needed = make_plan(load_scene(scene, _defines(define)), _settings(set_, settings, preset))
+    needed = make_plan(load_scene(scene, read_defines(define)), _settings(set_, settings, preset))
     if json_:
         print(json.dumps({"run": needed.run, "left_out": needed.left_out}, indent=1))
         return
@@ -159,57 +159,6 @@ def warm_up() -> None:
     _compile_all()
 
 
-@scenes_app.command("list")
-def scenes_list(json_: JsonOption = False) -> None:
-    """The shipped scenes."""
-    from joulebox_render.scene import list_scenes
-
-    entries = list_scenes()
-    if json_:
-        print(json.dumps([{"name": e.name, "path": str(e.path), "title": e.title} for e in entries], indent=1))
-        return
-    table = Table("scene", "what it is")
-    for entry in entries:
-        table.add_row(entry.name, entry.title)
-    Console().print(table)
-
-
-@scenes_app.command("show")
-def scenes_show(scene: SceneArgument, define: DefineOption = None, json_: JsonOption = False) -> None:
-    """What a scene holds."""
-    from joulebox_render.scene import load_scene
-
-    loaded = load_scene(scene, _defines(define))
-    facts: dict[str, Any] = {
-        "scene": loaded.name, "folder": str(loaded.folder), "scene_sha256": loaded.sha256,
-        "width": loaded.film_width, "height": loaded.film_height, "triangles": len(loaded.triangles),
-        "spheres_and_disks": len(loaded.analytic_kind), "materials": len(loaded.materials.kind),
-        "lights": len(loaded.lights.kind), "light_power_w": loaded.lights.power.sum(axis=0).tolist(),
-        "notes": list(loaded.notes),
-    }  # fmt: skip
-    if json_:
-        print(json.dumps(facts, indent=1))
-        return
-    table = Table(show_header=False)
-    for name, value in facts.items():
-        table.add_row(name, "\n".join(value) if name == "notes" else str(value))
-    Console().print(table)
-
-
-@scenes_app.command("check")
-def scenes_check(scene: SceneArgument, define: DefineOption = None, json_: JsonOption = False) -> None:
-    """Whether a scene can be rendered; says what is wrong, where, and what would be right."""
-    from joulebox_render.scene import load_scene
-
-    loaded = load_scene(scene, _defines(define))
-    if json_:
-        print(json.dumps({"scene": loaded.name, "usable": True, "notes": list(loaded.notes)}, indent=1))
-        return
-    print(f"{loaded.name} can be rendered")
-    for note in loaded.notes:
-        print(f"note: {note}")
-
-
 @app.callback(invoke_without_command=True)
 def _version(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
     if version:
@@ -225,12 +174,16 @@ def _settings(assignments: list[str] | None, file: Path | None, preset: str | No
     return make_settings(*layers, parse_assignments(assignments or []))
 
 
-def _defines(assignments: list[str] | None) -> dict[str, str]:
-    pairs = [text.partition("=") for text in assignments or []]
-    for name, equals, _ in pairs:
-        if not name or not equals:
-            raise SettingsError(f"'-D {name}' is not of the form name=value, such as -D detail=948")
-    return {name: value for name, _, value in pairs}
+def _check_target(path: Path | None) -> None:
+    """Refuse, before the work, a file that could not be written after it."""
+    if path is None:
+        return
+    if path.is_dir():
+        raise RenderError(f"{path} is a folder; give the name of a file to write")
+    if not path.absolute().parent.is_dir():
+        raise RenderError(f"{path} cannot be written: there is no folder {path.absolute().parent}; make it first")
+    if not os.access(path.absolute().parent, os.W_OK):
+        raise RenderError(f"{path} cannot be written: the folder {path.absolute().parent} is not writable")
 
 
 def _session(scene: str, settings: Settings, define: list[str] | None) -> Any:
@@ -241,7 +194,7 @@ def _session(scene: str, settings: Settings, define: list[str] | None) -> Any:
         _compile_all()
     from joulebox_render.session import Session
 
-    return Session(scene, settings, _defines(define))
+    return Session(scene, settings, read_defines(define))
 
 
 def _compile_all() -> None:
