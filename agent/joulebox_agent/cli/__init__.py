@@ -1,0 +1,48 @@
+"""The command `joulebox-agent`: exit code 0 good, 1 failed, 2 wrong use; failures are one sentence."""
+
+import sys
+
+import typer
+
+from joulebox_agent import __version__
+from joulebox_agent.cli.doctor import doctor
+from joulebox_agent.cli.fleet import enroll, run, status
+from joulebox_agent.cli.measure import measure
+from joulebox_agent.errors import AgentError
+
+app = typer.Typer(
+    name="joulebox-agent",
+    help="Measures what a picture costs in joules on this machine.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+for command in (doctor, measure, enroll, run, status):
+    app.command()(command)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(__version__)
+        raise typer.Exit()
+
+
+@app.callback()
+def _options(
+    version: bool = typer.Option(False, "--version", callback=_print_version, is_eager=True, help="Print the version."),
+) -> None:
+    pass
+
+
+def main() -> None:
+    """Entry point of the command."""
+    try:
+        app()
+    except AgentError as error:
+        print(f"joulebox-agent: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        sys.exit(130)
+    except BrokenPipeError:
+        sys.exit(1)

@@ -1,0 +1,98 @@
+"""The measure document: what `measure --json` prints and what a device sends to the server."""
+
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from joulebox_agent.conditions import Conditions
+from joulebox_agent.estimate import CONFIDENCE, Interval
+from joulebox_agent.sources.reading import Quality
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class RendererBuild(_Part):
+    name: str
+    version: str
+    intersector: str
+    isa: str
+    threads: int
+
+
+class EnergyPerImage(_Part):
+    """gross: the source's own reading; net: above idle, only when idle was measured; counter: the battery's
+    energy counter over the same windows, as a cross-check. None is unknown, never zero."""
+
+    gross: Interval | None
+    net: Interval | None
+    counter: Interval | None
+
+
+class StageEnergy(_Part):
+    """Three estimates by name. `integrated` needs a source faster than a stage, `regressed` a whole sweep."""
+
+    equation_2: float | None
+    integrated: float | None = None
+    regressed: float | None = None
+
+
+class StageRecord(_Part):
+    """Per image: wall and CPU seconds, rays, joules."""
+
+    time_s: float
+    cpu_s: float
+    rays: int
+    energy_j: StageEnergy
+
+
+class WindowRecord(_Part):
+    """One window: start_s since sampling began, time_s of wall clock, sums over its images."""
+
+    start_s: float
+    time_s: float
+    images: int
+    energy_j: float | None
+    cpu_s: float
+    stages_s: dict[str, float]
+
+
+class StateAround(_Part):
+    before: Conditions
+    after: Conditions
+
+
+class MeasureDocument(_Part):
+    """Everything known about one configuration on one machine. Intervals are over windows."""
+
+    schema_version: int = Field(default=1, serialization_alias="schema", validation_alias="schema")
+    scene: str
+    scene_sha256: str
+    settings: dict[str, Any]
+    renderer: RendererBuild
+    plan: dict[str, Any]
+    photons: dict[str, Any]
+    method: str
+    quality: Quality
+    scope: str
+    refresh_s: float | None
+    images: int
+    windows: int
+    window_s: float
+    time_s_per_image: Interval | None
+    cpu_s_per_image: Interval | None
+    energy_j_per_image: EnergyPerImage
+    confidence: float = CONFIDENCE
+    stages: dict[str, StageRecord]
+    window_data: tuple[WindowRecord, ...]
+    power_samples: str | None
+    conditions: StateAround
+    void: str | None
+    noise: None = None
+    pixel_sha256: str | None
+    image_blob: str | None
+
+    def to_json(self) -> dict[str, Any]:
+        """The document as plain JSON values."""
+        return self.model_dump(mode="json", by_alias=True)

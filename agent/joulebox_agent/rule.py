@@ -1,0 +1,48 @@
+"""How long to measure: what the user or a lease asks for, validated once."""
+
+from typing import Annotated, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from joulebox_agent.errors import UsageError
+
+
+class MeasureRule(BaseModel):
+    """Windows of repeated images.
+
+    window_s       shortest window [s]; it ends at the first image that ends later
+    min_windows    the pilot
+    max_windows    never more than this, whatever the half-width asks for
+    half_width     wanted half-width of the 95 % interval as a share of the mean
+    max_seconds    time limit from the renderer's `ready` [s]
+    meter          False: one image, its time and CPU seconds, no energy
+    idle_s         idle power is measured this long before and after [s]; 0: net energy stays unknown
+    silence_s      longest silence of the renderer before it counts as hung [s]
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    window_s: Annotated[float, Field(gt=0, le=3600)] = 60.0
+    min_windows: Annotated[int, Field(ge=1, le=1000)] = 5
+    max_windows: Annotated[int, Field(ge=1, le=1000)] = 20
+    half_width: Annotated[float, Field(gt=0, lt=1)] = 0.05
+    max_seconds: Annotated[float, Field(gt=0, le=86_400)] = 900.0
+    meter: bool = True
+    idle_s: Annotated[float, Field(ge=0, le=3600)] = 0.0
+    silence_s: Annotated[float, Field(gt=0, le=86_400)] = 600.0
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.min_windows > self.max_windows:
+            raise ValueError(f"min_windows {self.min_windows} is more than max_windows {self.max_windows}")
+        return self
+
+
+def make_rule(**values: object) -> MeasureRule:
+    """A MeasureRule, or UsageError that names the field and what would be right."""
+    try:
+        return MeasureRule.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = "--" + str(first["loc"][0]).replace("_", "-") if first["loc"] else "The windows"
+        raise UsageError(f"{name}: {first['msg']}.") from None

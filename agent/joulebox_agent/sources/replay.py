@@ -1,0 +1,129 @@
+"""A discharge trace played through the code path of a real gauge: for demonstrations and tests.
+
+What it yields is labelled "replayed" everywhere and never accepted as a measurement.
+"""
+
+import csv
+import json
+import math
+from bisect import bisect_right
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+
+from joulebox_agent.clock import Clock, SystemClock
+from joulebox_agent.errors import UsageError
+from joulebox_agent.sources.reading import Primary, Quality, Reading, SourceReport
+
+BUNDLED_TRACE = "scripted_laptop_48wh.csv"
+SHORTEST_POLL_S, LONGEST_POLL_S = 0.05, 0.5
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Gauge readings over time: times_s ascending from 0, power_w >= 0, both of one length >= 2."""
+
+    name: str
+    times_s: tuple[float, ...]
+    power_w: tuple[float, ...]
+
+    @property
+    def period_s(self) -> float:
+        """Length of one round; the last reading is held as long as the one before it."""
+        return self.times_s[-1] + (self.times_s[-1] - self.times_s[-2])
+
+
+def read_trace(path: Path) -> Trace:
+    """Reads t_s,power_w rows as CSV (with that header) or as NDJSON (.ndjson, .jsonl). Raises UsageError."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"The trace {path} cannot be read: {getattr(error, 'strerror', None) or error}.") from error
+    return parse_trace(text, path.name, as_json=path.suffix in (".ndjson", ".jsonl"))
+
+
+def bundled_trace() -> Trace:
+    """The trace that travels in the package: scripted after the thesis' laptop, see its first lines."""
+    text = (files("joulebox_agent") / "traces" / BUNDLED_TRACE).read_text(encoding="utf-8")
+    return parse_trace(text, BUNDLED_TRACE, as_json=False)
+
+
+def parse_trace(text: str, name: str, as_json: bool) -> Trace:
+    """The trace in `text`; lines that start with # are comments. Raises UsageError naming the row."""
+    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    times_s: list[float] = []
+    power_w: list[float] = []
+    start_s = 0.0
+    try:
+        rows = [json.loads(line) for line in lines] if as_json else list(csv.DictReader(lines))
+    except ValueError as error:
+        raise UsageError(f"The trace {name} is not NDJSON: {error}.") from error
+    for number, row in enumerate(rows, start=1):
+        try:
+            t_s, p_w = float(row["t_s"]), float(row["power_w"])
+        except (KeyError, TypeError, ValueError):
+            raise UsageError(f"Row {number} of the trace {name} needs numbers t_s and power_w, not {row}.") from None
+        if not (math.isfinite(t_s) and math.isfinite(p_w)) or p_w < 0:
+            raise UsageError(f"Row {number} of the trace {name}: t_s and power_w must be finite and power_w >= 0.")
+        if times_s and t_s - start_s <= times_s[-1]:
+            raise UsageError(f"Row {number} of the trace {name}: t_s must grow from row to row.")
+        start_s = start_s if times_s else t_s
+        times_s.append(t_s - start_s)
+        power_w.append(p_w)
+    if len(times_s) < 2:
+        raise UsageError(f"The trace {name} needs at least two rows of t_s,power_w.")
+    return Trace(name, tuple(times_s), tuple(power_w))
+
+
+class Replay:
+    """Plays a trace in a loop from the moment it is first read.
+
+    refresh_s  None: the trace's own rows are the gauge's refreshes. A number: the gauge refreshes that
+               often, with the trace interpolated in between.
+    """
+
+    method = "replay"
+    scope = "replayed"
+    quality: Quality = "replayed"
+    primary: Primary = "power"
+
+    def __init__(self, trace: Trace, refresh_s: float | None = None, clock: Clock | None = None) -> None:
+        if refresh_s is not None and not (math.isfinite(refresh_s) and refresh_s > 0):
+            raise UsageError(f"The refresh of a replay must be a positive number of seconds, not {refresh_s}.")
+        self.trace = trace
+        self.refresh_s = refresh_s
+        self._clock = clock or SystemClock()
+        self._start_s: float | None = None
+        shortest_s = refresh_s or min(b - a for a, b in zip(trace.times_s, trace.times_s[1:], strict=False))
+        self.poll_s = min(LONGEST_POLL_S, max(SHORTEST_POLL_S, shortest_s / 2))
+
+    def report(self) -> SourceReport:
+        reason = f"plays {self.trace.name}; never accepted as a measurement"
+        return SourceReport(
+            method=self.method,
+            scope=self.scope,
+            available=True,
+            power_w=self.trace.power_w[0],
+            files=(self.trace.name,),
+            reason=reason,
+        )
+
+    def read(self) -> Reading:
+        now_s = self._clock.now_s()
+        self._start_s = now_s if self._start_s is None else self._start_s
+        elapsed_s = now_s - self._start_s
+        if self.refresh_s is None:
+            rounds, at_s = divmod(elapsed_s, self.trace.period_s)
+            row = bisect_right(self.trace.times_s, at_s) - 1
+            return Reading(power_w=self.trace.power_w[row], raw=(rounds, row))
+        tick = math.floor(elapsed_s / self.refresh_s)
+        return Reading(power_w=self._interpolated(tick * self.refresh_s), raw=(tick,))
+
+    def _interpolated(self, elapsed_s: float) -> float:
+        trace = self.trace
+        at_s = elapsed_s % trace.period_s
+        row = bisect_right(trace.times_s, at_s) - 1
+        if row == len(trace.times_s) - 1:
+            return trace.power_w[row]
+        share = (at_s - trace.times_s[row]) / (trace.times_s[row + 1] - trace.times_s[row])
+        return trace.power_w[row] + share * (trace.power_w[row + 1] - trace.power_w[row])

@@ -1,0 +1,76 @@
+"""Images of a loop, gathered into contiguous windows that end where an image ends."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from joulebox_agent.loop import ImageEvent, StageEvent
+
+
+@dataclass
+class StageTotals:
+    """Sums over the images of a window [s, s, count]."""
+
+    time_s: float = 0.0
+    cpu_s: float = 0.0
+    rays: float = 0.0
+
+
+@dataclass
+class Window:
+    """A stretch of wall time that holds whole images, gaps between them included.
+
+    image_time_s  sum of the images' own times (first photon to last pixel), at most `wall_s`
+    """
+
+    start_s: float
+    end_s: float = 0.0
+    images: int = 0
+    image_time_s: float = 0.0
+    cpu_s: float = 0.0
+    stages: dict[str, StageTotals] = field(default_factory=dict)
+
+    @property
+    def wall_s(self) -> float:
+        return self.end_s - self.start_s
+
+    def add(self, image: ImageEvent, stages: list[StageEvent]) -> None:
+        self.end_s = image.end_s
+        self.images += 1
+        self.image_time_s += image.time_s
+        self.cpu_s += image.cpu_s
+        for stage in stages:
+            totals = self.stages.setdefault(stage.name, StageTotals())
+            totals.time_s += stage.end_s - stage.start_s
+            totals.cpu_s += stage.cpu_s
+            totals.rays += stage.rays
+
+
+class WindowSplitter:
+    """Closes a window at the first image that ends `window_s` or more after the window's start.
+
+    A window starts where the one before it ended, the first one at `start_s` (the end of the warm-up).
+    """
+
+    def __init__(self, start_s: float, window_s: float) -> None:
+        self._window_s = window_s
+        self._open = Window(start_s)
+
+    def add(self, image: ImageEvent, stages: list[StageEvent]) -> Window | None:
+        """Takes the next image; returns the window it completes, if any."""
+        self._open.add(image, stages)
+        if self._open.wall_s < self._window_s:
+            return None
+        closed, self._open = self._open, Window(image.end_s)
+        return closed
+
+    def rest(self) -> Window | None:
+        """The images after the last closed window, None without any."""
+        return self._open if self._open.images else None
+
+
+def stage_energies_j(window: Window, energy_j: float) -> Mapping[str, float]:
+    """Equation 2 of the thesis: E_stage = T_stage / T_total x E_total, over the window's whole wall time.
+
+    Right only if every stage draws the same power; time between stages keeps its share for itself.
+    """
+    return {name: totals.time_s / window.wall_s * energy_j for name, totals in window.stages.items()}

@@ -1,0 +1,162 @@
+"""enroll, run and status as commands: tokens, wrong use, signals."""
+
+import json
+import signal
+import stat
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import httpx2
+import joulebox_agent.cli.fleet as commands
+import pytest
+from agent_testing import RENDERER
+from fake_fleet import TOKEN, FakeFleet
+from joulebox_agent.server import Server
+from joulebox_agent.state import Enrolment, StateDir
+
+Agent = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def fleet() -> FakeFleet:
+    return FakeFleet()
+
+
+@pytest.fixture
+def state(tmp_path: Path) -> StateDir:
+    return StateDir.at(tmp_path / "state")
+
+
+def test_enrolling_keeps_the_token_to_this_user(
+    agent: Agent, tmp_path: Path, fleet: FakeFleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(commands, "Server", lambda url: Server(url, transport=fleet.transport, quick_wait_s=0.001))
+    secret = tmp_path / "secret"
+    secret.write_text("the-code\n")
+    words = ("enroll", "--server", "http://fleet/", "--code-file", secret, "--name", "shelf-3")
+    code, out, _ = agent(*words, "--state-dir", tmp_path / "s", "--json")
+    assert code == 0
+    assert json.loads(out) == {"server": "http://fleet", "device_id": "device-1", "name": "shelf-3",
+                               "state_dir": str(tmp_path / "s")}  # fmt: skip
+    file = tmp_path / "s" / "device.json"
+    assert stat.S_IMODE(file.stat().st_mode) == 0o600
+    assert TOKEN in file.read_text()
+    assert TOKEN not in out
+    assert agent(*words, "--state-dir", tmp_path / "s")[0] == 0  # a restart of a container enrols again
+    assert fleet.calls == ["POST /devices"]
+    code, _, err = agent("enroll", "--server", "http://other", "--code", "x", "--state-dir", tmp_path / "s")
+    assert code == 2
+    assert "belongs to http://fleet" in err
+    code, out, _ = agent("status", "--state-dir", tmp_path / "s", "--json", "--source", "none")
+    assert code == 0
+    assert json.loads(out)["name"] == "shelf-3"
+    assert TOKEN not in out
+
+
+@pytest.mark.parametrize("status", [401, 403, 410])
+def test_a_wrong_code_is_one_sentence(
+    agent: Agent, tmp_path: Path, fleet: FakeFleet, monkeypatch: pytest.MonkeyPatch, status: int
+) -> None:
+    monkeypatch.setattr(commands, "Server", lambda url: Server(url, transport=fleet.transport, quick_wait_s=0.001))
+    fleet.answers["POST /devices"] = (status, {"detail": "this code is unknown or was used"})
+    code, _, err = agent("enroll", "--server", "http://fleet", "--code", "x", "--state-dir", tmp_path)
+    assert code == 1
+    assert "this code is unknown or was used" in err
+    assert len(err.splitlines()) == 1
+    assert not (tmp_path / "device.json").exists()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("enroll", "--server", "fleet:8080", "--code", "x"),
+        ("enroll", "--server", "http://fleet"),
+        ("enroll", "--server", "http://fleet", "--code", "x", "--code-file", "/dev/null"),
+        ("enroll", "--server", "http://fleet", "--code-file", "/no/such/file"),
+        ("enroll", "--server", "http://fleet", "--code-file", "/dev/null"),
+        ("run",),
+        ("run", "--max-jobs", "0"),
+    ],
+)
+def test_wrong_use(agent: Agent, tmp_path: Path, words: tuple[str, ...]) -> None:
+    code, out, err = agent(*words, "--state-dir", tmp_path)
+    assert code == 2
+    assert out == ""
+    assert err.strip()
+
+
+def test_an_unreachable_server_is_one_sentence(agent: Agent, tmp_path: Path) -> None:
+    code, _, err = agent("enroll", "--server", "http://127.0.0.1:9", "--code", "x", "--state-dir", tmp_path)
+    assert code == 1
+    assert err.startswith("joulebox-agent: The server at http://127.0.0.1:9 cannot be reached")
+    assert len(err.splitlines()) == 1
+
+
+def test_a_damaged_state_is_one_sentence(agent: Agent, tmp_path: Path) -> None:
+    (tmp_path / "device.json").write_text('{"server": "http://x"}')
+    code, _, err = agent("run", "--state-dir", tmp_path)
+    assert code == 1
+    assert "is damaged; enrol again with --again" in err
+
+
+def test_a_signal_stops_the_real_command_and_its_renderer(tmp_path: Path) -> None:
+    """The installed command against a real socket: one lease, SIGTERM while it renders, the lease comes back."""
+    import http.server
+
+    fleet = FakeFleet()
+    fleet.add_job(1, fleet.add_scene(), image_s=0.1)
+    fleet.jobs[0]["measure"] |= {"window_s": 60}
+
+    class Handler(http.server.BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+
+        def answer(self) -> None:
+            body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
+            request = httpx2.Request(self.command, f"http://fleet{self.path}", headers=dict(self.headers), content=body)
+            response = fleet.handle(request)
+            self.send_response(response.status_code)
+            if response.status_code != 204:
+                self.send_header("Content-Length", str(len(response.content)))
+            self.end_headers()
+            self.wfile.write(response.content if self.command != "HEAD" else b"")
+
+        do_GET = do_HEAD = do_POST = do_PUT = answer  # noqa: N815
+
+        def log_message(self, *words: object) -> None:
+            pass
+
+    state = StateDir.at(tmp_path / "state")
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler) as listening:
+        thread = threading.Thread(target=listening.serve_forever, args=(0.05,))
+        thread.start()
+        url = f"http://127.0.0.1:{listening.server_address[1]}"
+        state.save(Enrolment(server=url, device_id="device-1", token=TOKEN, name="me"))
+        words = ["run", "--state-dir", str(state.root), "--renderer", RENDERER, "--source", "none", "--wait-s", "0"]
+        program = [sys.executable, "-c", "from joulebox_agent.cli import main; main()", *words]
+        process = subprocess.Popen(program, stderr=subprocess.PIPE, text=True)
+        assert process.stderr is not None
+        lines = []
+        try:
+            for line in process.stderr:
+                lines.append(line)
+                if "rendering cornell" in line:
+                    break
+            assert state.locked()
+            second = subprocess.run(program, capture_output=True, text=True, timeout=30, check=False)
+            process.send_signal(signal.SIGTERM)
+            rest = process.stderr.read()
+            code = process.wait(15)
+        finally:
+            process.kill()
+            process.wait()
+            process.stderr.close()
+            listening.shutdown()
+            thread.join()
+    assert code == 0, "".join(lines) + rest
+    assert fleet.releases == [("attempt-1", "the agent was stopped", False)]
+    assert second.returncode == 1
+    assert "Another joulebox-agent runs on" in second.stderr
+    assert "Traceback" not in rest + second.stderr

@@ -1,0 +1,260 @@
+"""The daemon: leases to results, and everything that can stand in between."""
+
+import errno
+import json
+import os
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import pytest
+from agent_testing import DATA, FAKE_COMMAND
+from fake_fleet import TOKEN, FakeFleet, scene_zip
+from joulebox_agent.daemon import Daemon, RunOptions
+from joulebox_agent.errors import AgentError, ServerUnreachableError, TokenRejectedError
+from joulebox_agent.progress import Lines
+from joulebox_agent.server import Server
+from joulebox_agent.state import StateDir
+
+FAST: dict[str, Any] = {"source": "replay@0.05", "wait_s": 0.0, "pause_s": 0.01, "longest_pause_s": 0.05}
+
+
+@pytest.fixture
+def fleet() -> FakeFleet:
+    return FakeFleet()
+
+
+@pytest.fixture
+def state(tmp_path: Path) -> StateDir:
+    return StateDir.at(tmp_path / "state")
+
+
+class Bench:
+    """A daemon on the fake fleet, with its log."""
+
+    def __init__(self, state: StateDir, fleet: FakeFleet, token: str = TOKEN, **options: Any) -> None:
+        self.said: list[str] = []
+        self.stop = threading.Event()
+        server = Server("http://fleet", token, transport=fleet.transport, quick_wait_s=0.001)
+        self.daemon = Daemon(state, "device-1", server, FAKE_COMMAND, RunOptions(**(FAST | options)), self.stop,
+                             self.said.append, Lines)  # fmt: skip
+
+
+def test_jobs_are_measured_and_delivered(state: StateDir, fleet: FakeFleet) -> None:
+    digest = fleet.add_scene()
+    for number in (1, 2):
+        fleet.add_job(number, digest, seed=number)
+    bench = Bench(state, fleet, max_jobs=2)
+    bench.daemon.run()
+    assert fleet.results.keys() == {"attempt-1", "attempt-2"}
+    document = json.loads(fleet.results["attempt-2"])
+    assert document["settings"]["seed"] == 2
+    assert document["quality"] == "replayed"
+    assert document["scene"] == "cornell"
+    assert fleet.blobs[document["image_blob"]] == b"v/1\x01 picture of seed 2"
+    assert fleet.blobs[document["power_samples"]].startswith(b'{"time_s"')
+    assert fleet.releases == []
+    assert fleet.calls.count(f"GET /blobs/{digest}") == 1
+    told = fleet.capabilities
+    assert told is not None
+    assert told["renderer"]["name"] == "fake-render"
+    assert told["renderer"]["settings_schema"]["additionalProperties"] is False
+    assert {"method", "available", "scope", "reason"} == set(told["energy_methods"][0])
+    assert list(state.scratch.iterdir()) == []
+
+
+def test_nothing_is_said_to_the_server_inside_a_measurement(state: StateDir, fleet: FakeFleet) -> None:
+    fleet.add_job(1, fleet.add_scene(), seed=1)
+    Bench(state, fleet, once=True).daemon.run()
+    fetched = next(i for i, call in enumerate(fleet.calls) if call.startswith("GET /blobs"))
+    assert fleet.calls[fetched + 1].startswith("HEAD /blobs")  # the next word is the upload
+
+
+def test_an_unmetered_job_sends_a_picture(state: StateDir, fleet: FakeFleet) -> None:
+    fleet.add_job(1, fleet.add_scene(), meter=False, seed=5)
+    Bench(state, fleet, once=True).daemon.run()
+    document = json.loads(fleet.results["attempt-1"])
+    assert document["quality"] == "none"
+    assert document["images"] == 1
+    assert fleet.blobs[document["image_blob"]].endswith(b"seed 5")
+
+
+def test_refused_settings_spend_the_attempt_with_the_renderers_sentence(state: StateDir, fleet: FakeFleet) -> None:
+    digest = fleet.add_scene()
+    fleet.add_job(1, digest, image_ss=3)
+    fleet.add_job(2, digest, seed=1)
+    Bench(state, fleet, max_jobs=2).daemon.run()
+    attempt, reason, failed = fleet.releases[0]
+    assert (attempt, failed) == ("attempt-1", True)
+    assert "There is no setting 'image_ss'" in reason
+    assert fleet.results.keys() == {"attempt-2"}
+
+
+@pytest.mark.parametrize(
+    ("how", "words"), [("die", "Segmentation fault"), ("flicker", "picture changed"), ("garbage", "not JSON")]
+)
+def test_a_bad_renderer_spends_the_attempt(state: StateDir, fleet: FakeFleet, how: str, words: str) -> None:
+    fleet.add_job(1, fleet.add_scene(), misbehave=how)
+    Bench(state, fleet, once=True).daemon.run()
+    assert len(fleet.releases) == 1
+    assert words in fleet.releases[0][1]
+    assert fleet.releases[0][2] is True
+    assert fleet.results == {}
+
+
+def test_a_bad_bundle_spends_the_attempt(state: StateDir, fleet: FakeFleet) -> None:
+    fleet.add_job(1, fleet.add_scene(scene_zip({"../scene.xml": b""})))
+    Bench(state, fleet, once=True).daemon.run()
+    assert "outside" in fleet.releases[0][1]
+    assert fleet.releases[0][2] is True
+
+
+def test_a_machine_on_mains_takes_no_job(state: StateDir, fleet: FakeFleet) -> None:
+    fleet.add_job(1, fleet.add_scene())
+    root = DATA / "chromebook_c300_full_on_ac" / "sys"
+    bench = Bench(state, fleet, source="auto", sysfs_root=root, idle_exit_s=0.3)
+    bench.daemon.run()
+    assert "POST /leases" not in fleet.calls
+    assert bench.said.count("Not fit to measure now: mains power online (AC).") == 1
+
+
+def test_a_cable_that_appears_gives_the_job_back(
+    state: StateDir, fleet: FakeFleet, tree: Callable[[str], Path]
+) -> None:
+    root = tree("thinkpad_power_now")
+    fleet.add_job(1, fleet.add_scene(), image_s=0.2)
+    fleet.jobs[0]["measure"] |= {"window_s": 60}
+    bench = Bench(state, fleet, source="auto", sysfs_root=root, once=True)
+    threading.Timer(1.0, (root / "class/power_supply/AC/online").write_text, ("1",)).start()
+    bench.daemon.run()
+    _, reason, failed = fleet.releases[0]
+    assert "mains power online (AC)" in reason
+    assert failed is False  # not fit to measure now spends no retry
+    assert fleet.results == {}
+
+
+def test_an_unreachable_server_is_said_once_and_outlived(state: StateDir, fleet: FakeFleet) -> None:
+    fleet.add_job(1, fleet.add_scene())
+    fleet.down = 20
+    bench = Bench(state, fleet, max_jobs=1)
+    bench.daemon.run()
+    assert "attempt-1" in fleet.results
+    assert sum("cannot be reached" in line for line in bench.said) == 1
+
+
+def test_results_outlive_a_server_that_goes_away(state: StateDir, fleet: FakeFleet) -> None:
+    fleet.add_job(1, fleet.add_scene())
+    fleet.answers["HEAD /blobs"] = (503, {"title": "down for repair"})
+    with pytest.raises(ServerUnreachableError, match="1 finished result is kept in the spool"):
+        Bench(state, fleet, once=True).daemon.run()
+    assert len(list(state.spool.glob("*.json"))) == 1
+    fleet.answers.clear()
+    Bench(state, fleet, once=True).daemon.run()  # the next run of the agent
+    assert "attempt-1" in fleet.results
+    assert list(state.spool.glob("*.json")) == []
+
+
+def test_a_revoked_token_ends_the_agent(state: StateDir, fleet: FakeFleet) -> None:
+    with pytest.raises(TokenRejectedError, match="rejects this device's credentials"):
+        Bench(state, fleet, token="revoked").daemon.run()
+
+
+def test_a_full_disk_holds_new_jobs_and_loses_nothing(
+    state: StateDir, fleet: FakeFleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    digest = fleet.add_scene()
+    for number in (1, 2):
+        fleet.add_job(number, digest)
+    fleet.answers["HEAD /blobs"] = (503, {"title": "down"})
+    bench = Bench(state, fleet, max_jobs=2)
+    real, broken = os.fsync, True
+
+    def fsync(descriptor: int) -> None:
+        if broken:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        real(descriptor)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    runner = threading.Thread(target=bench.daemon.run)
+    runner.start()
+    deadline = time.monotonic() + 10
+    while not bench.daemon.delivery.in_memory and time.monotonic() < deadline:
+        time.sleep(0.02)
+    time.sleep(0.3)
+    assert len(bench.daemon.delivery.in_memory) == 1
+    assert len(fleet.jobs) == 1  # the second job was not taken
+    broken = False
+    fleet.answers.clear()
+    runner.join(15)
+    assert fleet.results.keys() == {"attempt-1", "attempt-2"}
+    assert sum("is full" in line for line in bench.said) >= 1
+
+
+def test_a_refused_result_that_cannot_be_set_aside_holds_new_jobs(
+    state: StateDir, fleet: FakeFleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The disk is full and the server wants another result: it stays in memory, and nothing new is started."""
+
+    def fsync(descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    digest = fleet.add_scene()
+    for number in (1, 2):
+        fleet.add_job(number, digest)
+    fleet.results["attempt-1"] = b"{}"
+    bench = Bench(state, fleet, idle_exit_s=0.6)
+    with pytest.raises(AgentError, match="1 results in memory"):
+        bench.daemon.run()
+    assert len(fleet.jobs) == 1
+    assert any("waits in memory" in line for line in bench.said)
+
+
+def test_little_room_holds_new_jobs(state: StateDir, fleet: FakeFleet, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("joulebox_agent.spool.ROOM_WANTED_BYTES", 2**60)
+    fleet.add_job(1, fleet.add_scene())
+    bench = Bench(state, fleet, idle_exit_s=0.2)
+    bench.daemon.run()
+    assert len(fleet.jobs) == 1
+    assert any("64 MiB" in line for line in bench.said)
+
+
+def test_memory_that_cannot_be_saved_is_said(
+    state: StateDir, fleet: FakeFleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fsync(descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    fleet.add_job(1, fleet.add_scene())
+    fleet.answers["HEAD /blobs"] = (503, {"title": "down"})
+    monkeypatch.setattr(os, "fsync", fsync)
+    with pytest.raises(AgentError, match="1 results in memory are lost"):
+        Bench(state, fleet, once=True).daemon.run()
+
+
+def test_a_stop_gives_the_job_back(state: StateDir, fleet: FakeFleet) -> None:
+    fleet.add_job(1, fleet.add_scene(), image_s=0.2)
+    fleet.jobs[0]["measure"] |= {"window_s": 60}
+    bench = Bench(state, fleet)
+    threading.Timer(0.8, bench.stop.set).start()
+    bench.daemon.run()
+    assert fleet.releases == [("attempt-1", "the agent was stopped", False)]
+    assert fleet.results == {}
+
+
+def test_no_job_and_idle_end_quietly(state: StateDir, fleet: FakeFleet) -> None:
+    bench = Bench(state, fleet, once=True)
+    bench.daemon.run()
+    assert "The server has no job for this device." in bench.said
+    bench = Bench(state, fleet, idle_exit_s=0.1)
+    bench.daemon.run()
+
+
+def test_an_answer_that_is_not_understood_is_refused_in_words() -> None:
+    transport = httpx2.MockTransport(lambda request: httpx2.Response(200, json={"leases": [{"attempt_id": "../x"}]}))
+    server = Server("http://fleet", TOKEN, transport=transport)
+    with pytest.raises(AgentError, match=r"is not understood: leases\.0\.attempt_id"):
+        server.lease("boot", {}, 0)
