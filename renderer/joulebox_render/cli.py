@@ -55,8 +55,8 @@ def render(
     chosen = _settings(set_, settings, preset)
     if not (output or png or report or json_):
         raise SettingsError("nothing would be kept of this render: give -o picture.exr, --png, --report or --json")
-    for path in (output, png, report):
-        _check_target(path)
+    for path, suffix in ((output, ".exr"), (png, ".png"), (report, "")):
+        _check_target(path, suffix)
     with _session(scene, chosen, define) as session:
         for note in session.scene.notes:
             messages.print(f"note: {note}", style="dim", highlight=False)
@@ -95,11 +95,18 @@ def loop(
     """Render again and again, writing JSON lines (ready, stage, image, done) for an energy meter."""
     from joulebox_render.loop import run_loop
 
-    _check_target(output)
+    _check_target(output, ".exr")
     stop_asked: list[int] = []
     for name in ("SIGTERM", "SIGINT"):
         signal.signal(getattr(signal, name), lambda number, _frame: stop_asked.append(number))
     with _session(scene, _settings(set_, settings, preset), define) as session:
+
+        def stop(number: int, _frame: object) -> None:
+            stop_asked.append(number)
+            session.stop()
+
+        for name in ("SIGTERM", "SIGINT"):
+            signal.signal(getattr(signal, name), stop)
         run_loop(session, sys.stdout, max_images, max_seconds, output, lambda: bool(stop_asked))
 
 
@@ -174,10 +181,12 @@ def _settings(assignments: list[str] | None, file: Path | None, preset: str | No
     return make_settings(*layers, parse_assignments(assignments or []))
 
 
-def _check_target(path: Path | None) -> None:
+def _check_target(path: Path | None, suffix: str = "") -> None:
     """Refuse, before the work, a file that could not be written after it."""
     if path is None:
         return
+    if path.suffix.lower() != suffix and suffix:
+        raise RenderError(f"{path} needs a name that ends in {suffix}")
     if path.is_dir():
         raise RenderError(f"{path} is a folder; give the name of a file to write")
     if not path.absolute().parent.is_dir():

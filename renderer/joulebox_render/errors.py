@@ -19,5 +19,9 @@ class SettingsError(RenderError):
     exit_code = 2
 
 
+class StoppedError(RenderError):
+    """Rendering was given up because somebody asked for it."""
+
+
 class ImageError(RenderError):
     """A picture cannot be read or written."""

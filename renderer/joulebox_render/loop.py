@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from joulebox_render.clock import Interval
-from joulebox_render.errors import RenderError
+from joulebox_render.errors import RenderError, StoppedError
 from joulebox_render.images import write_exr
 from joulebox_render.session import Session
 
@@ -29,7 +29,8 @@ def run_loop(
 ) -> None:
     """Write `ready`, then `stage` lines and an `image` line for each image, and `done`.
 
-    Ends after max_images, or before the image that would start later than max_seconds, or when `stopped()`.
+    Ends after max_images, or before the image that would start later than max_seconds, or when `stopped()`; an
+    image under way is then given up.
     image_file, where given, gets the last image before `done`. Raises RenderError if two images of the same
     settings differ.
     """
@@ -41,7 +42,10 @@ def run_loop(
     while not stopped() and (max_images is None or images < max_images):
         if max_seconds is not None and images and time.perf_counter() - start >= max_seconds:
             break
-        image = session.render(listener=_stage_writer(out, images))
+        try:
+            image = session.render(listener=_stage_writer(out, images))
+        except StoppedError:
+            break
         first_hash = first_hash or image.pixel_sha256
         write_line(
             out,

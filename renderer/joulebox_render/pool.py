@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from types import TracebackType
 from typing import TypeVar
+
+from joulebox_render.errors import StoppedError
 
 T = TypeVar("T")
 
@@ -29,13 +32,27 @@ class WorkerPool:
     def __init__(self, threads: int = 0, chunk_rays: int = CHUNK_RAYS) -> None:
         self.threads = threads or usable_cores()
         self.chunk_rays = chunk_rays
+        self._stop_asked = threading.Event()
         self._executor = ThreadPoolExecutor(self.threads, thread_name_prefix="render")
 
     def map_chunks(self, work: Callable[[int, int], T], count: int, rays_per_item: int) -> Iterator[T]:
-        """work(first, last) over [0, count) in chunks of about `chunk_rays` rays; yields results in order."""
+        """work(first, last) over [0, count) in chunks of about `chunk_rays` rays; yields results in order.
+
+        Raises StoppedError, in place of the next chunk's result, after `stop`.
+        """
         step = max(1, self.chunk_rays // max(1, rays_per_item))
         ranges = [(first, min(first + step, count)) for first in range(0, count, step)]
-        return self._executor.map(lambda span: work(*span), ranges)
+
+        def guarded(span: tuple[int, int]) -> T:
+            if self._stop_asked.is_set():
+                raise StoppedError("rendering was stopped")
+            return work(*span)
+
+        return self._executor.map(guarded, ranges)
+
+    def stop(self) -> None:
+        """Give up all work from the next chunk on; may be called by a signal handler."""
+        self._stop_asked.set()
 
     def __enter__(self) -> WorkerPool:
         return self

@@ -116,6 +116,10 @@ class Session:
             rendering.pixels, start, end, cpu_s, clock, photon_counts(rendering), photon_notes(rendering)
         )
 
+    def stop(self) -> None:
+        """Give up the image that is being rendered: `render` raises StoppedError. May be called by a signal handler."""
+        self._pool.stop()
+
     def build(self) -> dict[str, Any]:
         """What made the picture."""
         return {

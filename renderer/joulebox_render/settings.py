@@ -9,7 +9,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
+from pydantic_core import PydanticCustomError
 
 from joulebox_render.errors import SettingsError
 
@@ -62,6 +63,14 @@ class Settings(BaseModel):
     sampler: Literal["independent", "stratified"] = Field(
         "stratified", description="how samples of a pixel, a light and a hemisphere are placed"
     )
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _true_is_no_number(cls, value: Any, info: ValidationInfo) -> Any:
+        """pydantic would take true for 1."""
+        if isinstance(value, bool) and cls.model_fields[str(info.field_name)].annotation is not bool:
+            raise PydanticCustomError("not_a_boolean", "Input should not be true or false")
+        return value
 
 
 _DRAFT: dict[str, Any] = {
@@ -122,7 +131,7 @@ def parse_assignments(assignments: Sequence[str]) -> dict[str, Any]:
             raise SettingsError(f"'--set {text}' is not of the form key=value, such as --set shadow_rays=64")
         try:
             values[name.strip()] = json.loads(value)
-        except json.JSONDecodeError:
+        except (ValueError, RecursionError):
             values[name.strip()] = value.strip()
     return values
 
@@ -135,7 +144,7 @@ def read_settings_file(path: Path) -> dict[str, Any]:
         raise SettingsError(f"settings file {path} cannot be read: {_reason(error)}") from None
     try:
         values = tomllib.loads(text) if path.suffix.lower() == ".toml" else json.loads(text)
-    except (tomllib.TOMLDecodeError, json.JSONDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise SettingsError(f"settings file {path} is not valid {path.suffix[1:].upper() or 'JSON'}: {error}") from None
     if not isinstance(values, dict):
         raise SettingsError(f"settings file {path} must hold an object of settings, such as {{\"shadow_rays\": 64}}")

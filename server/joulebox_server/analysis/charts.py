@@ -1,0 +1,203 @@
+"""The charts, as pure functions from a trade-off to a Vega-Lite specification, and its rendering.
+
+One specification serves the dashboard, the pictures of a report and a page of its own. All data are
+inline; nothing is fetched.
+"""
+
+import json
+import math
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import altair as alt
+import vl_convert
+
+from joulebox_server.analysis import layers, palette
+from joulebox_server.analysis.documents import UNITS, Axis, Point, Tradeoff
+from joulebox_server.analysis.errors import AnalysisError
+from joulebox_server.analysis.frame import Row, ScaleName, XName, YName, frame
+from joulebox_server.analysis.words import figure, quality_suffix, setting
+
+Spec = dict[str, Any]
+
+HEIGHT = 380
+BAR_STEP = 24
+VEGA_LITE = "6.4"
+UNBOOKED = "other"
+"""Time of an image that no stage accounts for."""
+_UNBOOKED_FROM_SHARE = 0.005
+_MIN_WIDTH, _MAX_WIDTH = 200, 4000
+
+
+def tradeoff_chart(
+    tradeoff: Tradeoff,
+    x: XName = "energy_j",
+    y: YName = "difference",
+    scale: ScaleName = "auto",
+    budget: float | None = None,
+    colour_by: str | None = None,
+) -> Spec:
+    """Cost against difference: points with intervals, the front, the limit, the floor, the reference.
+
+    scale       "auto" takes a logarithmic axis where its values span a factor of more than 20
+    budget      in the unit of x [J, s, or J a pixel]; drawn as an upright line
+    colour_by   name of a setting; None takes the axis with the most values that colours can tell apart
+
+    Raises AnalysisError for an energy axis where no energy is known, for an unknown colour_by and for a
+    budget that is not above 0.
+    """
+    if budget is not None and not 0 < budget < math.inf:
+        raise AnalysisError(f"the budget is {budget}, it must be a number above 0")
+    shown = frame(tradeoff, x, y, scale, budget, colour_by)
+    if not shown.points:
+        return _nothing_yet(tradeoff, "no configuration has been both measured and compared")
+    on = layers.axes(shown, x, y, tradeoff)
+    parts = [
+        *layers.limit_layers(shown, on),
+        *layers.floor_layers(shown, on),
+        *(layers.budget_layers(shown, budget, x, on) if budget is not None else []),
+        layers.front_layer(shown, on),
+        *layers.interval_layers(shown, on),
+        layers.point_layer(shown, tradeoff, on),
+        *(layers.reference_layers(shown.reference, shown, on) if shown.reference else []),
+    ]
+    return _finish(alt.layer(*parts).properties(height=HEIGHT), tradeoff, _repeats_told(tradeoff))
+
+
+def stages_chart(tradeoff: Tradeoff, unit: Axis | None = None) -> Spec:
+    """What every stage costs per image: one stacked bar a configuration, cheapest first, reference last.
+
+    unit    "energy_j" or "time_s"; None takes energy where every bar's stages have one, else time
+
+    What no stage accounts for is shown as "other". Raises AnalysisError for energy where a configuration's
+    stages have none.
+    """
+    bars = [*tradeoff.points, *([tradeoff.reference] if tradeoff.reference else [])]
+    bars = [point for point in bars if point.stages]
+    if not bars:
+        return _nothing_yet(tradeoff, "no stage has been measured")
+    priced = all(s.energy_j is not None for point in bars for s in point.stages.values())
+    axis: Axis = unit or ("energy_j" if priced and all(p.energy_j for p in bars) else "time_s")
+    if axis == "energy_j" and not priced:
+        raise AnalysisError(f"not every stage of {tradeoff.scene} has an energy, the chart must be over time_s")
+    names, labels = _bar_labels(tradeoff, bars)
+    rows = [row for label, point in zip(labels, bars, strict=True) for row in _stage_rows(label, point, axis)]
+    return _finish(_stage_bars(rows, axis, tradeoff), tradeoff, f"cost per image by stage{names}")
+
+
+def render(spec: Spec, file_format: Literal["svg", "png"], width: int = 800) -> bytes:
+    """A specification as a picture, `width` pixels wide inside the axes; PNG at twice that density.
+
+    Raises AnalysisError for a format or width that cannot be, and for a specification that Vega refuses.
+    """
+    if not _MIN_WIDTH <= width <= _MAX_WIDTH:
+        raise AnalysisError(f"the width is {width} pixels, it must be from {_MIN_WIDTH} to {_MAX_WIDTH}")
+    sized = json.dumps(spec | {"width": width, "autosize": {"type": "pad"}})
+    try:
+        if file_format == "svg":
+            return str(vl_convert.vegalite_to_svg(sized, vl_version=VEGA_LITE)).encode()
+        if file_format == "png":
+            return bytes(vl_convert.vegalite_to_png(sized, vl_version=VEGA_LITE, scale=2))
+    except ValueError as error:
+        raise AnalysisError(f"the chart cannot be drawn: {str(error).splitlines()[0]}") from None
+    raise AnalysisError(f"the format is {file_format}, it must be svg or png")
+
+
+def _finish(chart: Any, tradeoff: Tradeoff, subtitle: str) -> Spec:
+    """The specification, with title, width and the shared configuration."""
+    chart = chart.properties(
+        width="container",
+        title=alt.TitleParams(f"{tradeoff.scene} on {tradeoff.device}", subtitle=subtitle),
+        autosize=alt.AutoSizeParams(type="fit-x", contains="padding"),
+    )
+    spec: Spec = chart.to_dict()
+    spec["config"] = palette.config()
+    return spec
+
+
+def _nothing_yet(tradeoff: Tradeoff, why: str) -> Spec:
+    text = layers.data([{"text": "nothing to show yet"}]).mark_text(fontSize=14, color=palette.MUTED)
+    return _finish(text.encode(text="text:N").properties(height=HEIGHT), tradeoff, why)
+
+
+def _repeats_told(tradeoff: Tradeoff) -> str:
+    counts = sorted({point.repeats for point in tradeoff.points})
+    repeats = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
+    noun = "repeat" if counts == [1] else "repeats"
+    size = f"{tradeoff.width} x {tradeoff.height} pixels"
+    return f"{repeats} {noun} a point, {tradeoff.confidence:.0%} intervals, {size}"
+
+
+def _bar_labels(tradeoff: Tradeoff, bars: Sequence[Point]) -> tuple[str, list[str]]:
+    """What the labels list, as an addition to the subtitle, and a label of its own for every bar.
+
+    The values of the sweep's axes alone where they tell the bars apart: names would leave no room for bars.
+    """
+    axes = tradeoff.axes
+    short = [
+        point.label if point is tradeoff.reference else ", ".join(setting(point.settings.get(a)) for a in axes)
+        for point in bars
+    ]
+    if axes and len(set(short)) == len(bars):
+        return f"; rows: {', '.join(axes)}", short
+    full = [point.label for point in bars]
+    if len(set(full)) == len(bars):
+        return "", full
+    return "", [f"{point.label} ({point.configuration_id})" for point in bars]
+
+
+def _stage_rows(label: str, point: Point, axis: Axis) -> list[Row]:
+    """One row a stage, and one for what is left of the image's cost."""
+    costs = {name: stage.time_s if axis == "time_s" else stage.energy_j for name, stage in point.stages.items()}
+    whole = point.cost(axis)
+    left = whole.value - math.fsum(cost or 0.0 for cost in costs.values()) if whole else 0.0
+    if whole and left > _UNBOOKED_FROM_SHARE * whole.value:
+        costs[UNBOOKED] = left
+    unit = UNITS[axis]
+    return [
+        {
+            "bar": label,
+            "configuration": point.label,
+            "stage": name,
+            "order": _stage_order(name),
+            "cost": cost or 0.0,
+            "told": f"{figure(cost or 0.0)} {unit}",
+            "image": f"{figure(whole.value)} {unit}" if whole else "not known",
+        }
+        for name, cost in costs.items()
+    ]
+
+
+def _stage_order(name: str) -> int:
+    known: Sequence[str] = [*palette.STAGES, UNBOOKED]
+    return known.index(name) if name in known else len(known)
+
+
+def _stage_bars(rows: list[Row], axis: Axis, tradeoff: Tradeoff) -> Any:
+    present = sorted({row["stage"] for row in rows}, key=lambda name: (_stage_order(name), name))
+    colours = palette.STAGES | {UNBOOKED: palette.MUTED}
+    spare = [colour for colour in palette.CATEGORIES if colour not in colours.values()]
+    unknown = [name for name in present if name not in colours]
+    colours |= {name: spare[place % len(spare)] for place, name in enumerate(unknown)}
+    title = "time per image [s]"
+    if axis == "energy_j":
+        title = f"energy per image [J]{quality_suffix(tradeoff.energy_quality)}"
+    labels = alt.Axis(title=None, labelLimit=260, ticks=False, domain=False, grid=False, labelPadding=8)
+    colour_scale = alt.Scale(domain=present, range=[colours[name] for name in present])
+    return (
+        layers.data(rows)
+        .mark_bar(height={"band": 0.72})
+        .encode(
+            x=alt.X("cost:Q", stack="zero", axis=alt.Axis(title=title, format=",~r", tickCount=8)),
+            y=alt.Y("bar:N", sort=None, axis=labels),
+            color=alt.Color("stage:N", title="stage", scale=colour_scale, legend=alt.Legend(columns=3)),
+            order=alt.Order("order:Q"),
+            tooltip=[
+                alt.Tooltip("configuration:N"),
+                alt.Tooltip("stage:N"),
+                alt.Tooltip("told:N", title="cost"),
+                alt.Tooltip("image:N", title="whole image"),
+            ],
+        )
+        .properties(height=alt.Step(BAR_STEP))
+    )

@@ -1,0 +1,94 @@
+"""Confidence intervals of what was measured in windows, several times.
+
+An interval is symmetric about its value except that it never reaches below 0: energies, times and
+differences cannot.
+"""
+
+import math
+from collections.abc import Sequence
+from functools import cache
+
+from pydantic import BaseModel, ConfigDict, model_validator
+from scipy.stats import t as student_t
+
+from joulebox_server.analysis.errors import AnalysisError
+
+
+class Interval(BaseModel):
+    """A value and the bounds of its confidence interval, all in one unit; low <= value <= high."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    value: float
+    low: float
+    high: float
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "Interval":
+        if not self.low <= self.value <= self.high:
+            raise ValueError(f"low {self.low}, value {self.value}, high {self.high} must be in rising order")
+        return self
+
+    def scaled(self, factor: float) -> "Interval":
+        """The interval in another unit; factor > 0."""
+        return Interval(value=self.value * factor, low=self.low * factor, high=self.high * factor)
+
+
+def exactly(value: float) -> Interval:
+    """An interval without width: the value is exact, or nothing is known of its scatter."""
+    return Interval(value=value, low=value, high=value)
+
+
+@cache
+def t_factor(confidence: float, count: int) -> float:
+    """Half-width of the interval of a mean in standard errors: two-sided Student t, count - 1 degrees."""
+    return float(student_t.ppf(0.5 + confidence / 2, count - 1))
+
+
+def check_confidence(confidence: float) -> None:
+    """Raise AnalysisError unless it is a number from 0.5 to 0.999."""
+    if not 0.5 <= confidence <= 0.999:
+        raise AnalysisError(f"the confidence is {confidence}, it must be from 0.5 to 0.999")
+
+
+def over_repeats(repeats: Sequence[Interval], windows: Sequence[int], stated: Sequence[float], confidence: float) -> Interval:
+    """Interval of the mean over repeats that were each measured in windows.
+
+    repeats     one interval a repeat, over its own windows
+    stated      the confidence of each
+    windows     windows behind each; from 2 on the interval is restated at `confidence` by Student's t
+
+    With two repeats or more it is the larger of (a) Student t over the repeats' values, whose scatter
+    holds the noise of seeds, of the machine between repeats and of the windows, and (b) the windows' own
+    half-widths combined, sqrt(sum h^2) / n. Adding both would count the windows twice; taking (a) alone
+    would let a few repeats that agree by luck claim more than their windows support. With one repeat it is
+    (b), which knows nothing of what changes between repeats: the caller flags that.
+    """
+    count = len(repeats)
+    restated = [
+        # the upper side: the lower one may have been cut at 0
+        (r.high - r.value) * (t_factor(confidence, n) / t_factor(c, n) if n >= 2 else 1.0)
+        for r, n, c in zip(repeats, windows, stated, strict=True)
+    ]
+    within = math.sqrt(sum(h * h for h in restated)) / count
+    values = [r.value for r in repeats]
+    return _about(math.fsum(values) / count, max(_between(values, confidence), within))
+
+
+def over_values(values: Sequence[float], confidence: float) -> Interval:
+    """Student t interval of a mean; without width for one value, whose scatter is not known."""
+    return _about(math.fsum(values) / len(values), _between(values, confidence))
+
+
+def _between(values: Sequence[float], confidence: float) -> float:
+    """Half-width by Student t over values; 0 for one value."""
+    count = len(values)
+    if count < 2:
+        return 0.0
+    mean = math.fsum(values) / count
+    variance = math.fsum((value - mean) ** 2 for value in values) / (count - 1)
+    return t_factor(confidence, count) * math.sqrt(variance / count)
+
+
+def _about(value: float, half_width: float) -> Interval:
+    return Interval(value=value, low=max(min(0.0, value), value - half_width), high=value + half_width)

@@ -1,0 +1,98 @@
+"""The application: everything one server needs is made here from its settings; there are no globals."""
+
+import asyncio
+import logging
+from collections.abc import AsyncIterator, Callable
+from concurrent.futures import Executor
+from contextlib import asynccontextmanager
+
+from fastapi import APIRouter, FastAPI
+from prometheus_client import CollectorRegistry
+
+from joulebox_server import __version__
+from joulebox_server.comparing import Comparer, stop
+from joulebox_server.limits import BodyLimit
+from joulebox_server.metrics import RequestCounter, StoreCollector
+from joulebox_server.pages import mount_pages
+from joulebox_server.problems import add_problem_handlers
+from joulebox_server.routes import blobs, devices, events, findings, health, pictures, scenes, sweeps, work
+from joulebox_server.services import Services
+from joulebox_server.settings import ServerSettings
+from joulebox_server.store import Store
+from joulebox_server.store import events as stored_events
+from joulebox_server.store.ids import now_us
+from joulebox_server.store.leases import reap
+from joulebox_server.waiting import Bell
+
+log = logging.getLogger("joulebox.server")
+
+
+def create_app(
+    settings: ServerSettings, executor: Executor | None = None, clock: Callable[[], int] = now_us
+) -> FastAPI:
+    """A server over `settings.data_dir`.
+
+    executor  computes differences (`concurrent.futures` interface); None makes a pool of
+              `settings.workers` processes, which ends with the app
+    clock     microseconds since 1970, by which leases are judged
+    """
+    registry = CollectorRegistry()
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        async with _running(settings, executor, clock, registry) as services:
+            app.state.services = services
+            yield
+
+    app = FastAPI(
+        title="joulebox",
+        version=__version__,
+        lifespan=lifespan,
+        docs_url=None,  # its pages would load scripts from elsewhere
+        redoc_url=None,
+    )
+    app.add_middleware(BodyLimit, max_bytes=settings.max_body_bytes)
+    app.add_middleware(RequestCounter, registry=registry)
+    add_problem_handlers(app)
+    versioned = APIRouter(prefix="/v1")
+    for part in (devices, scenes, sweeps, work, blobs, findings, pictures, events):
+        versioned.include_router(part.router)
+    app.include_router(versioned)
+    app.include_router(health.router)
+    mount_pages(app)
+    return app
+
+
+@asynccontextmanager
+async def _running(
+    settings: ServerSettings, executor: Executor | None, clock: Callable[[], int], registry: CollectorRegistry
+) -> AsyncIterator[Services]:
+    """The services of an app while it runs; afterwards everything is closed and every process ended."""
+    store = Store(settings.data_dir)
+    bell = Bell()
+    bell.open()
+    store.on_event(bell.ring_from_thread)
+    comparer = Comparer(store, bell, executor, settings.workers, settings.max_blob_bytes)
+    services = Services(settings, store, bell, comparer, clock, registry)
+    collector = StoreCollector(store)
+    registry.register(collector)
+    tasks = [asyncio.create_task(comparer.run()), asyncio.create_task(_keep_house(services))]
+    try:
+        yield services
+    finally:
+        bell.close()
+        for task in tasks:
+            await stop(task)
+        registry.unregister(collector)
+        await asyncio.to_thread(store.close)
+
+
+async def _keep_house(services: Services) -> None:
+    """Take back ended leases, also while no device asks for work; drop old events."""
+    while True:
+        try:
+            await services.write(reap, services.lease_rules, services.clock())
+            await services.write(stored_events.trim)
+        except Exception:
+            log.exception("housekeeping failed; trying again")
+        await asyncio.sleep(services.settings.reap_every_s)

@@ -1,0 +1,103 @@
+"""`joulebox device ...`."""
+
+from typing import Annotated
+
+import typer
+
+from joulebox_server.cli.connection import DataOption, JsonOption, ServerOption, TokenOption, WrongUseError, connect
+from joulebox_server.cli.output import print_json, print_table
+
+HEALTHS = ("good", "suspect", "maintenance", "retired")
+
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Enrol devices and look after them.")
+
+DeviceArgument = Annotated[str, typer.Argument(help="Id or name of a device.")]
+
+
+@app.command("list")
+def list_devices(
+    server: ServerOption = None, token: TokenOption = None, data: DataOption = None, as_json: JsonOption = False
+) -> None:
+    """Every enrolled device, the most recently seen first."""
+    found = connect(server, token, data).json("GET", "/devices")
+    if as_json:
+        print_json(found)
+        return
+    print_table(
+        ("id", "name", "health", "machine", "energy", "seen"),
+        [
+            (
+                device["id"],
+                device["name"],
+                device["health"],
+                _machine(device["capabilities"]),
+                _energy(device["capabilities"]),
+                f"{device['last_seen_age_s']:.0f} s ago",
+            )
+            for device in found["items"]
+        ],
+        "no device yet; `joulebox device enroll` makes a code for one",
+    )
+
+
+def _machine(capabilities: dict[str, object] | None) -> str:
+    return "" if capabilities is None else f"{capabilities['os']} {capabilities['machine']}"
+
+
+def _energy(capabilities: dict[str, list[dict[str, object]]] | None) -> str:
+    methods = capabilities["energy_methods"] if capabilities else []
+    return ", ".join(str(method["method"]) for method in methods if method["available"]) or "none"
+
+
+@app.command()
+def enroll(
+    name: Annotated[str | None, typer.Option(help="Note for the list of codes.")] = None,
+    server: ServerOption = None,
+    token: TokenOption = None,
+    data: DataOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Make a one-time code; print the command to run on the device within 15 minutes."""
+    connection = connect(server, token, data)
+    found = connection.json("POST", "/enrollments", json={"name": name})
+    command = f"joulebox-agent enroll --server {connection.url} --code {found['code']}"
+    if as_json:
+        print_json({**found, "server": connection.url, "command": command})
+        return
+    typer.echo(f"code {found['code']}, good for one device until {found['expires_at']}; on the device run:")
+    typer.echo(command)
+
+
+@app.command()
+def revoke(
+    device: DeviceArgument,
+    server: ServerOption = None,
+    token: TokenOption = None,
+    data: DataOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Shut a device out; what it measured stays."""
+    connect(server, token, data).request("DELETE", f"/devices/{device}")
+    if as_json:
+        print_json({"revoked": device})
+    else:
+        typer.echo(f"device {device} is shut out")
+
+
+@app.command()
+def health(
+    device: DeviceArgument,
+    value: Annotated[str, typer.Argument(help=f"One of {', '.join(HEALTHS)}.")],
+    server: ServerOption = None,
+    token: TokenOption = None,
+    data: DataOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Set a device's health; in maintenance or retired it gets no jobs."""
+    if value not in HEALTHS:
+        raise WrongUseError(f"a device's health is one of {', '.join(HEALTHS)}, not {value!r}")
+    found = connect(server, token, data).json("PATCH", f"/devices/{device}", json={"health": value})
+    if as_json:
+        print_json(found)
+    else:
+        typer.echo(f"device {found['name']} is {found['health']}")

@@ -1,0 +1,155 @@
+"""A server as a process: settings checked, port taken, tokens made, uvicorn run, address told."""
+
+import errno
+import json
+import os
+import socket
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+
+import typer
+import uvicorn
+from fastapi import FastAPI
+from pydantic import ValidationError
+
+from joulebox_server.app import create_app
+from joulebox_server.cli.connection import (
+    ADDRESS_FILE,
+    TOKEN_FILE,
+    CommandError,
+    WrongUseError,
+    write_private,
+)
+from joulebox_server.cli.output import print_json
+from joulebox_server.problems import field_errors
+from joulebox_server.settings import ServerSettings, is_loopback
+from joulebox_server.store import Store, tokens
+
+GRACE_S = 3
+"""How long open requests may take to end after Ctrl-C."""
+
+
+def run_server(data_dir: Path, host: str, port: int, secret_file: Path | None, workers: int, as_json: bool) -> None:
+    """Run a server until Ctrl-C. Raises CommandError or WrongUseError when it cannot start."""
+    secret = None if secret_file is None else _secret(secret_file)
+    settings = _settings(data_dir, host, port, secret, workers)
+    listening = _bind(host, port)
+    try:
+        token = _first_token(settings)
+        url = f"http://{_host_in_url(host)}:{listening.getsockname()[1]}"
+        app = create_app(settings)
+        config = uvicorn.Config(
+            app, log_level="warning", access_log=False, timeout_graceful_shutdown=GRACE_S, server_header=False
+        )
+        server = _Server(config, app, lambda: _announce(settings, url, token, as_json))
+        try:
+            server.run(sockets=[listening])
+        except KeyboardInterrupt:
+            pass  # asked for, and everything is closed
+        finally:
+            (settings.data_dir / ADDRESS_FILE).unlink(missing_ok=True)
+        if not server.started:
+            raise CommandError("the server could not start; the lines above say why")
+    finally:
+        listening.close()
+
+
+class _Server(uvicorn.Server):
+    """Says when it listens, and sends home whoever waits for events as soon as it is told to stop."""
+
+    def __init__(self, config: uvicorn.Config, app: FastAPI, on_start: Callable[[], None]) -> None:
+        super().__init__(config)
+        self._app = app
+        self._on_start = on_start
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        if self.started:
+            self._on_start()
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        self._app.state.services.bell.close()
+        await super().shutdown(sockets)
+
+
+def _secret(path: Path) -> str:
+    try:
+        return path.read_text().strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise WrongUseError(f"the enrolment secret cannot be read from {path}: {error}") from None
+
+
+def _settings(data_dir: Path, host: str, port: int, secret: str | None, workers: int) -> ServerSettings:
+    try:
+        return ServerSettings(data_dir=data_dir, host=host, port=port, enrollment_secret=secret, workers=workers)
+    except ValidationError as error:
+        wrong = field_errors(error.errors(include_input=False))[0]
+        raise WrongUseError(f"{wrong.field.replace('_', ' ')}: {wrong.message}") from None
+
+
+def _bind(host: str, port: int) -> socket.socket:
+    """The listening socket, taken before anything else so that a taken port leaves no trace."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listening = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        if os.name == "posix":
+            listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind((host.strip("[]"), port))
+        listening.listen(2048)
+        listening.set_inheritable(True)
+    except OSError as error:
+        listening.close()
+        if error.errno == errno.EADDRINUSE:
+            raise CommandError(f"port {port} at {host} is taken; stop what uses it or give another --port") from None
+        raise CommandError(f"cannot listen at {host} port {port}: {error.strerror or error}") from None
+    return listening
+
+
+def _first_token(settings: ServerSettings) -> str | None:
+    """The operator token if this is the first start, and nothing at a later one.
+
+    Beyond loopback a server must have been given tokens, or an enrolment secret as a sign that it is meant.
+    """
+    try:
+        store = Store(settings.data_dir)
+    except (OSError, sqlite3.Error) as error:
+        raise CommandError(f"the data folder {settings.data_dir} cannot be used: {error}") from None
+    try:
+        first = store.read(tokens.people_count, valid=False) == 0
+        if not settings.loopback:
+            meant = first and settings.enrollment_secret is not None
+            if not meant and store.read(tokens.people_count, valid=True) == 0:
+                raise CommandError(
+                    f"no token protects this server, so it listens on loopback only and not at {settings.host}; "
+                    "make one with `joulebox token create --role operator` first"
+                )
+        if not first:
+            return None
+        token = store.write(tokens.create, "operator", "first start")
+        write_private(settings.data_dir / TOKEN_FILE, token + "\n")
+        return token
+    finally:
+        store.close()
+
+
+def _announce(settings: ServerSettings, url: str, token: str | None, as_json: bool) -> None:
+    # Others reach it by the machine's name, this machine by loopback.
+    local_url = url if not _is_any(settings.host) else url.replace(_host_in_url(settings.host), "127.0.0.1")
+    write_private(settings.data_dir / ADDRESS_FILE, json.dumps({"url": local_url, "pid": os.getpid()}))
+    if as_json:
+        print_json({"url": local_url, "data": str(settings.data_dir), "operator_token": token})
+    else:
+        typer.echo(f"joulebox serves at {local_url} (data in {settings.data_dir}); Ctrl-C ends it")
+        if token is not None:
+            typer.echo(f"operator token, shown this once: {token}")
+    if not is_loopback(settings.host) and not as_json:
+        typer.echo("anybody who reaches this address needs a token; reads from here do too")
+
+
+def _is_any(host: str) -> bool:
+    return host.strip("[]") in ("0.0.0.0", "::")
+
+
+def _host_in_url(host: str) -> str:
+    return f"[{host}]" if ":" in host and not host.startswith("[") else host

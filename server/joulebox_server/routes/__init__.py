@@ -1,0 +1,1 @@
+"""The HTTP routes: each handler reads its input, asks the store, and answers."""

@@ -1,0 +1,66 @@
+"""Pictures: the difference of two, and one as a PNG."""
+
+import asyncio
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query, Response
+from fastapi.responses import FileResponse
+from sqlite_utils import Database
+
+from joulebox_server.analysis.images import read_picture, tonemap_png
+from joulebox_server.errors import InvalidError, ServerError, UnavailableError
+from joulebox_server.routes.blobs import FOREVER, ShaPath
+from joulebox_server.services import ServicesOf, Viewer
+from joulebox_server.store import blobs, differences
+from joulebox_server.store.database import Row
+
+PNG_MAGIC = b"\x89PNG"
+
+Exposure = Annotated[float, Query(gt=0, le=1e6)]
+Sha = Annotated[str, Query(pattern=r"^[0-9a-f]{64}$")]
+
+router = APIRouter(tags=["pictures"])
+
+
+@router.get("/compare")
+async def compare(
+    services: ServicesOf, _: Viewer, reference: Sha, test: Sha, exposure: Exposure = 1.0
+) -> dict[str, Any]:
+    """The difference of two stored pictures, computed once and then remembered."""
+
+    def wanted(db: Database) -> Row:
+        for sha256 in (reference, test):
+            blobs.find(db, services.store.blob_dir, sha256)
+        return differences.get(db, differences.want(db, reference, test, exposure))
+
+    difference = await services.write(wanted)
+    if difference["state"] == "pending":
+        # Shielded: others may wait for the same difference, and this client may leave.
+        await asyncio.shield(services.comparer.start(difference))
+        difference = await services.read(differences.get, difference["id"])
+    if difference["state"] == "failed":
+        raise InvalidError(difference["reason"])
+    if difference["state"] == "pending":
+        raise UnavailableError("the comparison was interrupted; ask again")
+    return differences.document(difference)
+
+
+@router.get("/images/{sha256}.png")
+def image(
+    services: ServicesOf,
+    _: Viewer,
+    sha256: ShaPath,
+    exposure: Exposure = 1.0,
+    width: Annotated[int | None, Query(ge=1, le=16384)] = None,
+) -> Response:
+    """A stored picture for the eye: linear ones tone-mapped, PNGs (delta images) as they are."""
+    path = services.store.read(blobs.find, services.store.blob_dir, sha256)
+    headers = {"Cache-Control": FOREVER, "X-Content-Type-Options": "nosniff"}
+    with path.open("rb") as file:
+        if file.read(len(PNG_MAGIC)) == PNG_MAGIC:
+            return FileResponse(path, media_type="image/png", headers=headers)
+    try:
+        picture = read_picture(path)
+    except ServerError as error:
+        raise InvalidError(str(error).replace(str(path), f"the blob {sha256}")) from None
+    return Response(tonemap_png(picture, exposure, width), media_type="image/png", headers=headers)

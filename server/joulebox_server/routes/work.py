@@ -1,0 +1,71 @@
+"""The device's side of a job: lease, give back, result."""
+
+import asyncio
+import random
+
+from fastapi import APIRouter, Response
+from fastapi.responses import JSONResponse
+
+from joulebox_server.schemas.device import Lease, LeaseRequest, Leases, ReleaseRequest
+from joulebox_server.schemas.measure import MeasureDocument
+from joulebox_server.services import DeviceId, Services, ServicesOf
+from joulebox_server.store import leases, results
+
+LOOK_AGAIN_S = 2.0
+"""A waiting device looks this often for jobs that return by the clock alone."""
+RETRY_AFTER_S = (5, 10)
+
+router = APIRouter(tags=["work"])
+
+
+@router.post("/leases", response_model=Leases, responses={204: {"description": "nothing to do"}})
+async def lease(services: ServicesOf, device_id: DeviceId, request: LeaseRequest) -> Response | Leases:
+    """Jobs for the device that asks; waits up to `wait_s` for one, else 204 with Retry-After."""
+    loop = asyncio.get_running_loop()
+    ends_s = loop.time() + request.wait_s
+    while True:
+        heard = services.bell.heard
+        if granted := await _lease_now(services, device_id, request):
+            return Leases(leases=granted)
+        left_s = ends_s - loop.time()
+        if left_s <= 0 or services.bell.closed:
+            # Spread, so that a shelf of devices does not come back at one moment.
+            return Response(status_code=204, headers={"Retry-After": str(random.randint(*RETRY_AFTER_S))})
+        await services.bell.wait(heard, min(left_s, LOOK_AGAIN_S))
+
+
+async def _lease_now(services: Services, device_id: str, request: LeaseRequest) -> list[Lease]:
+    now_us = services.clock()
+    if not await services.read(leases.work_waits, device_id, now_us):
+        return []
+    return await services.write(
+        leases.lease,
+        device_id,
+        request.boot_id,
+        request.conditions,
+        request.max_jobs,
+        services.lease_rules,
+        now_us,
+    )
+
+
+@router.post("/attempts/{attempt_id}/release", status_code=204)
+def release(services: ServicesOf, device_id: DeviceId, attempt_id: str, request: ReleaseRequest) -> Response:
+    """Give a job back: unmeasured (spends no retry), or `failed`."""
+    services.store.write(leases.release, attempt_id, device_id, request, services.lease_rules, services.clock())
+    return Response(status_code=204)
+
+
+@router.put("/attempts/{attempt_id}/result", status_code=201)
+def put_result(services: ServicesOf, device_id: DeviceId, attempt_id: str, document: MeasureDocument) -> Response:
+    """The measure document of an attempt: 201 the first time, 200 for the same again, 409 for another."""
+    accepted, new = services.store.write(
+        results.accept,
+        services.store.blob_dir,
+        attempt_id,
+        device_id,
+        document,
+        services.settings.max_attempts,
+        services.clock(),
+    )
+    return JSONResponse({"accepted": accepted}, 201 if new else 200)

@@ -1,0 +1,1 @@
+"""The documents that cross the network, as frozen models that refuse unknown fields and NaN."""

@@ -1,0 +1,95 @@
+"""What handlers work with, kept on the app and nowhere else; and who is asking."""
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Annotated, Concatenate, ParamSpec, TypeVar
+
+from fastapi import Depends, Request
+from prometheus_client import CollectorRegistry
+from sqlite_utils import Database
+
+from joulebox_server.comparing import Comparer
+from joulebox_server.errors import ForbiddenError, UnauthenticatedError
+from joulebox_server.settings import ServerSettings, is_loopback
+from joulebox_server.store import Store, tokens
+from joulebox_server.store.leases import LeaseRules
+from joulebox_server.store.tokens import Principal
+from joulebox_server.waiting import Bell
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+@dataclass
+class Services:
+    """The parts of one running server."""
+
+    settings: ServerSettings
+    store: Store
+    bell: Bell
+    comparer: Comparer
+    clock: Callable[[], int]
+    """Microseconds since 1970; leases are judged by it."""
+    registry: CollectorRegistry = field(default_factory=CollectorRegistry)
+
+    @property
+    def lease_rules(self) -> LeaseRules:
+        """The settings that leases depend on."""
+        return LeaseRules(self.settings.lease_slack_s, self.settings.release_pause_s, self.settings.max_attempts)
+
+    async def write(self, function: Callable[Concatenate[Database, P], T], *args: P.args, **kwargs: P.kwargs) -> T:
+        """`store.write` without holding up the event loop."""
+        return await asyncio.wrap_future(self.store.submit(function, *args, **kwargs))
+
+    async def read(self, function: Callable[Concatenate[Database, P], T], *args: P.args, **kwargs: P.kwargs) -> T:
+        """`store.read` without holding up the event loop."""
+        return await asyncio.to_thread(lambda: self.store.read(function, *args, **kwargs))
+
+
+def services_of(request: Request) -> Services:
+    """The services of the app that got this request."""
+    services: Services = request.app.state.services
+    return services
+
+
+def principal_of(request: Request) -> Principal:
+    """Who asks. Raises UnauthenticatedError unless there is a good token, or reads are free (loopback)."""
+    services = services_of(request)
+    scheme, _, token = request.headers.get("authorization", "").partition(" ")
+    if scheme.lower() == "bearer" and token.strip():
+        return services.store.read(tokens.principal, token.strip())
+    if scheme:
+        raise UnauthenticatedError("the Authorization header must read `Bearer TOKEN`")
+    settings = services.settings
+    reads = request.method in ("GET", "HEAD")
+    # The Host too: a page from elsewhere can make a browser ask 127.0.0.1 under its own name.
+    if reads and settings.anonymous_reads and settings.loopback and is_loopback(request.url.hostname or ""):
+        return Principal("viewer")
+    raise UnauthenticatedError("this needs a token: send `Authorization: Bearer TOKEN`")
+
+
+def require(*roles: tokens.Role) -> Callable[[Principal], Principal]:
+    """A dependency that lets only these roles pass; admin may do all that people may do."""
+
+    def check(principal: Annotated[Principal, Depends(principal_of)]) -> Principal:
+        if principal.role in roles or (principal.role == "admin" and roles != ("device",)):
+            return principal
+        raise ForbiddenError(f"a token of the role {principal.role} may not do this; {' or '.join(roles)} may")
+
+    return check
+
+
+def device_of(principal: Annotated[Principal, Depends(require("device"))]) -> str:
+    """Id of the device that asks."""
+    if principal.device_id is None:
+        raise ForbiddenError("this token belongs to no device")
+    return principal.device_id
+
+
+ServicesOf = Annotated[Services, Depends(services_of)]
+Viewer = Annotated[Principal, Depends(require("viewer", "operator"))]
+Operator = Annotated[Principal, Depends(require("operator"))]
+Anyone = Annotated[Principal, Depends(require("viewer", "operator", "device"))]
+Writer = Annotated[Principal, Depends(require("operator", "device"))]
+DeviceId = Annotated[str, Depends(device_of)]

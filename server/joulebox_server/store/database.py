@@ -1,0 +1,215 @@
+"""The SQLite database: one writer thread with group commit, read connections per thread."""
+
+import queue
+import sqlite3
+import threading
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any, Concatenate, ParamSpec, TypeVar
+
+from sqlite_utils import Database
+
+from joulebox_server.errors import ConflictError, StorageFullError, UnavailableError
+from joulebox_server.store.migrations import migrations
+
+BUSY_TIMEOUT_MS = 5000
+LARGEST_GROUP = 64
+"""Most writes that share one commit, so that the first of them does not wait for long."""
+
+Row = dict[str, Any]
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def rows(db: Database, sql: str, parameters: Iterable[Any] = ()) -> list[Row]:
+    """All rows of a query as dictionaries."""
+    return list(db.query(sql, tuple(parameters)))
+
+
+def row(db: Database, sql: str, parameters: Iterable[Any] = ()) -> Row | None:
+    """The first row of a query, or None."""
+    return next(iter(rows(db, sql, parameters)), None)
+
+
+def number(db: Database, sql: str, parameters: Iterable[Any] = ()) -> int:
+    """The one integer that a query answers; 0 for NULL."""
+    return int(db.execute(sql, tuple(parameters)).fetchone()[0] or 0)
+
+
+class _Write:
+    """One function waiting for the writer thread, and the future of what it returns."""
+
+    def __init__(self, function: Callable[[Database], Any]) -> None:
+        self.function = function
+        self.future: Future[Any] = Future()
+        self.result: Any = None
+        self.error: Exception | None = None
+
+    def run(self, db: Database) -> None:
+        """Run inside a savepoint of the open transaction; an error undoes this write alone."""
+        try:
+            with db.atomic():
+                self.result = self.function(db)
+        except Exception as error:
+            self.error = _named(error)
+
+    def settle(self) -> None:
+        if self.error is None:
+            self.future.set_result(self.result)
+        else:
+            self.future.set_exception(self.error)
+
+
+class Store:
+    """A data folder: `joulebox.db`, `blobs/` and `incoming/`.
+
+    Raises sqlite3.Error or OSError when the folder cannot be used. `close()` when done.
+    """
+
+    def __init__(self, data_dir: Path) -> None:
+        self.blob_dir = data_dir / "blobs"
+        self.incoming_dir = data_dir / "incoming"
+        for folder in (self.blob_dir, self.incoming_dir):
+            folder.mkdir(parents=True, exist_ok=True)
+        self.path = data_dir / "joulebox.db"
+        self.last_event_id = 0
+        self._listeners: list[Callable[[], None]] = []
+        self._queue: queue.SimpleQueue[_Write | None] = queue.SimpleQueue()
+        self._closed = False
+        self._local = threading.local()
+        self._lock = threading.Lock()
+        self._readers: list[Database] = []
+        self._writer_db = self._prepared()
+        self._writer = threading.Thread(target=self._write_loop, name="joulebox-store-writer", daemon=True)
+        self._writer.start()
+
+    def write(self, function: Callable[Concatenate[Database, P], T], *args: P.args, **kwargs: P.kwargs) -> T:
+        """Run `function(db, ...)` in a write transaction; returns once it is on the disk.
+
+        Raises what the function raises (its changes undone), StorageFullError when the disk is full.
+        """
+        return self.submit(function, *args, **kwargs).result()
+
+    def submit(self, function: Callable[Concatenate[Database, P], T], *args: P.args, **kwargs: P.kwargs) -> "Future[T]":
+        """As `write`, without waiting."""
+        write = _Write(lambda db: function(db, *args, **kwargs))
+        with self._lock:
+            if self._closed:
+                raise UnavailableError("the store is closed")
+            self._queue.put(write)
+        return write.future
+
+    def read(self, function: Callable[Concatenate[Database, P], T], *args: P.args, **kwargs: P.kwargs) -> T:
+        """Run `function(db, ...)` on this thread's read-only connection, over one snapshot."""
+        db = self._reader()
+        db.conn.execute("BEGIN")
+        try:
+            return function(db, *args, **kwargs)
+        except sqlite3.Error as error:
+            raise _named(error) from error
+        finally:
+            db.conn.execute("ROLLBACK")
+
+    def on_event(self, listener: Callable[[], None]) -> None:
+        """Call `listener()` on the writer thread after every commit that added an event."""
+        self._listeners.append(listener)
+
+    def close(self) -> None:
+        """Finish the writes that wait, then close every connection."""
+        with self._lock:
+            if self._closed:
+                return
+            self._closed = True
+            self._queue.put(None)
+        self._writer.join()
+        for db in [*self._readers, self._writer_db]:
+            db.conn.close()
+
+    def _prepared(self) -> Database:
+        db = self._connect()
+        db.conn.execute("PRAGMA journal_mode=WAL")
+        # FULL: an agent deletes its spooled result on our word, so the word must survive a power cut.
+        db.conn.execute("PRAGMA synchronous=FULL")
+        # Immediate, so that two processes opening a new folder at once do not both make the tables.
+        db.conn.execute("BEGIN IMMEDIATE")
+        migrations.apply(db)
+        db.conn.execute("COMMIT")
+        self.last_event_id = _newest_event(db)
+        return db
+
+    def _connect(self) -> Database:
+        # Closed by `close()`, which another thread calls; each is used by one thread at a time.
+        connection = sqlite3.connect(
+            self.path, timeout=BUSY_TIMEOUT_MS / 1000, isolation_level=None, check_same_thread=False
+        )
+        connection.execute("PRAGMA foreign_keys=ON")
+        return Database(connection)
+
+    def _reader(self) -> Database:
+        db: Database | None = getattr(self._local, "db", None)
+        if db is None:
+            if self._closed:
+                raise UnavailableError("the store is closed")
+            db = self._connect()
+            db.conn.execute("PRAGMA query_only=ON")
+            self._local.db = db
+            with self._lock:
+                self._readers.append(db)
+        return db
+
+    def _write_loop(self) -> None:
+        while (first := self._queue.get()) is not None:
+            group = [first]
+            ended = False
+            while len(group) < LARGEST_GROUP and not self._queue.empty():
+                following = self._queue.get()
+                if following is None:
+                    ended = True
+                    break
+                group.append(following)
+            self._commit(group)
+            if ended:
+                return
+
+    def _commit(self, waiting: list[_Write]) -> None:
+        # Whoever asked may have gone; those who have not can no longer go before their answer.
+        group = [write for write in waiting if write.future.set_running_or_notify_cancel()]
+        db = self._writer_db
+        try:
+            # A plain BEGIN would read first and fail with "database is locked" when another process wrote.
+            db.conn.execute("BEGIN IMMEDIATE")
+            for write in group:
+                write.run(db)
+                if write.error is not None and not db.conn.in_transaction:
+                    raise write.error  # a full disk undoes the whole transaction, the writes before too
+            newest = _newest_event(db)
+            db.conn.execute("COMMIT")
+        except Exception as error:
+            db.rollback()
+            for write in group:
+                write.error = write.error or _named(error)
+            newest = self.last_event_id
+        announce = newest > self.last_event_id
+        self.last_event_id = newest
+        for write in group:
+            write.settle()
+        if announce:
+            for listener in self._listeners:
+                listener()
+
+
+def _newest_event(db: Database) -> int:
+    return number(db, "SELECT max(id) FROM event")
+
+
+def _named(error: Exception) -> Exception:
+    """SQLite's errors that a user can do something about, as ours; anything else as it is."""
+    if isinstance(error, sqlite3.IntegrityError):
+        return ConflictError(f"that contradicts what is stored ({error})")
+    if isinstance(error, sqlite3.OperationalError):
+        if "full" in str(error):
+            return StorageFullError("the server's disk is full; free some space and send it again")
+        if "locked" in str(error) or "busy" in str(error):
+            return UnavailableError("another process holds the database; try again in a moment")
+    return error

@@ -1,0 +1,194 @@
+"""Leases: handing jobs to devices, and taking them back when a device falls silent.
+
+Every question about a lease is asked inside the write transaction that acts on the answer.
+"""
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+from sqlite_utils import Database
+
+from joulebox_server.errors import ConflictError, ForbiddenError, NotFoundError
+from joulebox_server.schemas.device import Lease, LeasedMeasure, LeasedScene, ReleaseRequest
+from joulebox_server.schemas.sweep import SweepDefinition
+from joulebox_server.store import devices, events, jobs
+from joulebox_server.store.database import Row, row, rows
+from joulebox_server.store.ids import MICRO, canonical, new_id, timestamp
+
+WORKING = ("good", "suspect")
+"""Health at which a device is given jobs."""
+NOISE_FLOOR_WINDOW_S = 1.0
+
+
+@dataclass(frozen=True)
+class LeaseRules:
+    """The settings that leases depend on."""
+
+    slack_s: float
+    release_pause_s: float
+    max_attempts: int
+
+
+def lease(
+    db: Database,
+    device_id: str,
+    boot_id: str,
+    conditions: dict[str, Any],
+    max_jobs: int,
+    rules: LeaseRules,
+    now_us: int,
+) -> list[Lease]:
+    """Up to `max_jobs` jobs for a device, the oldest sweep's first; none when nothing is to be done.
+
+    Leases that ended are taken back first, and those of an earlier boot of this device at once: nobody
+    works on them any more.
+    """
+    reap(db, rules, now_us)
+    _take_back(db, rules, "attempt.device_id = ? AND attempt.boot_id != ?", (device_id, boot_id), "restarted")
+    db.execute("UPDATE device SET last_seen_at_us = ?, boot_id = ? WHERE id = ?", (now_us, boot_id, device_id))
+    return [
+        _grant(db, jobs.find(db, job_id), device_id, boot_id, conditions, rules, now_us)
+        for job_id in _next_jobs(db, device_id, max_jobs, now_us)
+    ]
+
+
+def work_waits(db: Database, device_id: str, now_us: int) -> bool:
+    """Whether `lease` would find a job; a cheap question for a device that waits."""
+    ended = row(db, "SELECT 1 FROM attempt WHERE state = 'leased' AND expires_at_us <= ? LIMIT 1", (now_us,))
+    return ended is not None or bool(_next_jobs(db, device_id, 1, now_us))
+
+
+def reap(db: Database, rules: LeaseRules, now_us: int) -> int:
+    """Take back every lease that ended; returns how many."""
+    return _take_back(db, rules, "attempt.expires_at_us <= ?", (now_us,), "fell silent until the lease ended")
+
+
+def release(
+    db: Database, attempt_id: str, device_id: str, request: ReleaseRequest, rules: LeaseRules, now_us: int
+) -> None:
+    """A device gives a job back. Again, or after the lease ended: nothing more happens.
+
+    Raises NotFoundError, ForbiddenError for another device's attempt, ConflictError after its result.
+    """
+    attempt = find_attempt(db, attempt_id, device_id)
+    if attempt["state"] == "finished":
+        raise ConflictError("this attempt has its result already; it cannot be given back")
+    if attempt["state"] != "leased":
+        return
+    _end_attempt(db, attempt_id, "released", request.reason)
+    job = jobs.find(db, attempt["job_id"])
+    if request.failed:
+        jobs.spend_attempt(db, job, request.reason, rules.max_attempts)
+    else:
+        pause_us = round(rules.release_pause_s * MICRO)
+        jobs.give_back(
+            db, job, request.reason, rules.max_attempts, spent=job["attempts"], not_before_us=now_us + pause_us
+        )
+
+
+def find_attempt(db: Database, attempt_id: str, device_id: str) -> Row:
+    """An attempt of this device. Raises NotFoundError, or ForbiddenError when it is another's."""
+    found = row(db, "SELECT * FROM attempt WHERE id = ?", (attempt_id,))
+    if found is None:
+        raise NotFoundError(f"no attempt has the id {attempt_id!r}; its sweep may have been deleted")
+    if found["device_id"] != device_id:
+        raise ForbiddenError("this attempt was leased to another device")
+    return found
+
+
+def finish(db: Database, attempt_id: str) -> None:
+    """Mark an attempt as the one that brought its result."""
+    _end_attempt(db, attempt_id, "finished", None)
+
+
+def _end_attempt(db: Database, attempt_id: str, state: str, reason: str | None) -> None:
+    db.execute("UPDATE attempt SET state = ?, reason = ? WHERE id = ?", (state, reason, attempt_id))
+
+
+def _take_back(db: Database, rules: LeaseRules, which: str, parameters: tuple[Any, ...], what: str) -> int:
+    lost = rows(
+        db,
+        f"""SELECT attempt.id, attempt.job_id, device.name FROM attempt JOIN device ON device.id = device_id
+        WHERE attempt.state = 'leased' AND {which}""",
+        parameters,
+    )
+    for attempt in lost:
+        reason = f"the device {attempt['name']!r} {what}"
+        _end_attempt(db, attempt["id"], "expired", reason)
+        jobs.spend_attempt(db, jobs.find(db, attempt["job_id"]), reason, rules.max_attempts)
+    return len(lost)
+
+
+def _next_jobs(db: Database, device_id: str, count: int, now_us: int) -> list[str]:
+    """Ids of the jobs that a device should do next. Reads no more of a long queue than it takes."""
+    device = devices.find(db, device_id)
+    if device["health"] not in WORKING:
+        return []
+    targets = rows(
+        db,
+        """SELECT target.id, target.device_id, target.requires FROM sweep
+        JOIN target ON target.sweep_id = sweep.id
+        WHERE sweep.state = 'running' AND (target.device_id = ? OR target.device_id IS NULL)
+        ORDER BY sweep.id, target.position""",
+        (device_id,),
+    )
+    found: list[str] = []
+    for target in targets:
+        if len(found) == count:
+            break
+        if target["device_id"] is None and not devices.fits(device["capabilities"], target["requires"]):
+            continue
+        queued = rows(
+            db,
+            """SELECT id FROM job WHERE target_id = ? AND state = 'queued' AND not_before_us <= ?
+            ORDER BY block, position, id LIMIT ?""",
+            (target["id"], now_us, count - len(found)),
+        )
+        found += [str(job["id"]) for job in queued]
+    return found
+
+
+def _grant(
+    db: Database,
+    job: Row,
+    device_id: str,
+    boot_id: str,
+    conditions: dict[str, Any],
+    rules: LeaseRules,
+    now_us: int,
+) -> Lease:
+    measure = _measure(SweepDefinition.model_validate_json(job["definition"]), job["purpose"])
+    expires_at_us = now_us + round((measure.max_seconds + measure.window_s + rules.slack_s) * MICRO)
+    attempt_id = new_id()
+    db.execute("UPDATE target SET device_id = ? WHERE id = ? AND device_id IS NULL", (device_id, job["target_id"]))
+    db.execute("UPDATE job SET state = 'leased' WHERE id = ?", (job["id"],))
+    db.execute(
+        """INSERT INTO attempt (id, job_id, device_id, boot_id, state, conditions, leased_at_us, expires_at_us)
+        VALUES (?, ?, ?, ?, 'leased', ?, ?, ?)""",
+        (attempt_id, job["id"], device_id, boot_id, canonical(conditions), now_us, expires_at_us),
+    )
+    events.add(
+        db, "job", job["sweep_id"], {"job_id": job["id"], "state": "leased", "device_id": device_id, "reason": None}
+    )
+    return Lease(
+        attempt_id=attempt_id,
+        job_id=job["id"],
+        sweep_id=job["sweep_id"],
+        purpose=job["purpose"],
+        expires_at=timestamp(expires_at_us) or "",
+        scene=LeasedScene(name=job["scene_name"], bundle_sha256=job["bundle_sha256"]),
+        defines=json.loads(job["defines"]),
+        settings=jobs.settings_of(job),
+        measure=measure,
+    )
+
+
+def _measure(definition: SweepDefinition, purpose: str) -> LeasedMeasure:
+    rules = definition.measure
+    if purpose == "noise_floor":  # only its picture is wanted
+        window_s = min(rules.window_s, NOISE_FLOOR_WINDOW_S)
+        return LeasedMeasure(
+            **rules.model_dump() | {"window_s": window_s, "min_windows": 1, "max_windows": 1}, meter=False
+        )
+    return LeasedMeasure(**rules.model_dump(), meter=True)

@@ -1,0 +1,1 @@
+"""Pure functions from a sweep's definition to its configurations and jobs."""

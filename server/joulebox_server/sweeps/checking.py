@@ -1,0 +1,94 @@
+"""Checks a sweep's settings against the JSON Schema that a renderer publishes for them."""
+
+from collections.abc import Iterator, Mapping
+from difflib import get_close_matches
+from typing import Any
+
+from jsonschema import Draft202012Validator
+from jsonschema.exceptions import SchemaError, ValidationError, best_match
+
+from joulebox_server.errors import FieldError
+from joulebox_server.schemas.sweep import SweepDefinition
+
+PRESET = "preset"
+
+
+def schema_fault(schema: Mapping[str, Any]) -> str | None:
+    """What makes `schema` no JSON Schema of an object with properties, or None."""
+    try:
+        Draft202012Validator.check_schema(schema)
+    except SchemaError as error:
+        return str(error.message)
+    if not isinstance(schema.get("properties"), dict):
+        return "it has no properties"
+    return None
+
+
+def settings_errors(definition: SweepDefinition, schema: Mapping[str, Any]) -> list[FieldError]:
+    """Every setting of a sweep that the renderer would refuse, with the path of the axis or setting."""
+    return [
+        FieldError(field, problem)
+        for field, name, value in _given(definition)
+        if (problem := _problem(schema, name, value)) is not None
+    ]
+
+
+def _given(definition: SweepDefinition) -> Iterator[tuple[str, str, Any]]:
+    """(path, setting, value) of everything that a definition sets."""
+    if definition.preset is not None:
+        yield PRESET, PRESET, definition.preset
+    if definition.reference.preset is not None:
+        yield f"reference.{PRESET}", PRESET, definition.reference.preset
+    for name, value in definition.settings.items():
+        yield f"settings.{name}", name, value
+    for axis, values in definition.axes.items():
+        for position, value in enumerate(values):
+            yield f"axes.{axis}[{position}]", axis, value
+    for position, settings in enumerate(definition.configurations):
+        for name, value in settings.items():
+            yield f"configurations[{position}].{name}", name, value
+    for name, value in definition.reference.settings.items():
+        yield f"reference.settings.{name}", name, value
+
+
+def _problem(schema: Mapping[str, Any], name: str, value: Any) -> str | None:
+    """What is wrong with one setting, as the end of a sentence; None when it is good."""
+    properties: Mapping[str, Any] = schema["properties"]
+    if name not in properties:
+        if name == PRESET:  # the renderer resolves it before its settings are checked
+            return None if isinstance(value, str) else f"a preset is a name, not {value!r}"
+        nearest = get_close_matches(name, properties, n=1, cutoff=0.5)
+        hint = f"did you mean {nearest[0]!r}?" if nearest else f"known are {', '.join(sorted(properties))}"
+        return f"the renderer has no setting {name!r}; {hint}"
+    # Of a property alone, with the definitions that it may refer to.
+    alone = {**properties[name], **{key: schema[key] for key in ("$defs", "definitions") if key in schema}}
+    error = best_match(Draft202012Validator(alone).iter_errors(value))
+    return None if error is None else _sentence(_telling(error))
+
+
+def _telling(error: ValidationError) -> ValidationError:
+    """Of "one of these kinds" the error within the kind that the value is of: `-1 or null` says a bound, not null."""
+    while error.context:
+        of_its_kind = [inner for inner in error.context if inner.validator != "type"]
+        error = (of_its_kind or error.context)[0]
+    return error
+
+
+def _sentence(error: ValidationError) -> str:
+    bound: Any = error.validator_value
+    words = {
+        "minimum": "at least",
+        "maximum": "at most",
+        "exclusiveMinimum": "more than",
+        "exclusiveMaximum": "less than",
+    }
+    if error.validator in words:
+        return f"{error.instance!r} must be {words[str(error.validator)]} {bound}"
+    if error.validator == "enum":
+        choices = [str(choice) for choice in bound]
+        nearest = get_close_matches(str(error.instance), choices, n=1, cutoff=0.5)
+        hint = f"; did you mean {nearest[0]!r}?" if nearest else ""
+        return f"{error.instance!r} is not one of {', '.join(choices)}{hint}"
+    if error.validator == "type":
+        return f"{error.instance!r} is not of type {bound}"
+    return str(error.message)
