@@ -78,7 +78,9 @@ def frame(
     y_factor = 1 / area if y == "difference_per_pixel" else 1.0
     limit = tradeoff.limit * y_factor
     floor = tradeoff.noise_floor.value * y_factor if tradeoff.noise_floor else None
-    rows = _rows(tradeoff, axis, x_factor, y_factor)
+    colour = _colour(tradeoff, colour_by)
+    names = [*varied(tradeoff), *([colour] if colour else [])]
+    rows = _rows(tradeoff, axis, x_factor, y_factor, names)
     reference = _reference_row(tradeoff, axis, x_factor)
 
     extra_x = [value for value in (budget, reference["x"] if reference else None) if value is not None]
@@ -98,7 +100,7 @@ def frame(
         y=y_range,
         limit=limit,
         floor=floor,
-        colour_by=_colour(tradeoff, colour_by),
+        colour_by=colour,
     )
 
 
@@ -120,8 +122,7 @@ def spread(interval: Interval | None, unit: str) -> str:
     return f"{value} ({figure(interval.low)} to {figure(interval.high)})"
 
 
-def _rows(tradeoff: Tradeoff, axis: Axis, x_factor: float, y_factor: float) -> list[Row]:
-    names = varied(tradeoff)
+def _rows(tradeoff: Tradeoff, axis: Axis, x_factor: float, y_factor: float, names: Sequence[str]) -> list[Row]:
     rows = []
     for point, standing in zip(tradeoff.points, front_of(tradeoff.points, axis), strict=True):
         cost, difference = point.cost(axis), point.difference

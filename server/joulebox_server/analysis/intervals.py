@@ -51,7 +51,9 @@ def check_confidence(confidence: float) -> None:
         raise AnalysisError(f"the confidence is {confidence}, it must be from 0.5 to 0.999")
 
 
-def over_repeats(repeats: Sequence[Interval], windows: Sequence[int], stated: Sequence[float], confidence: float) -> Interval:
+def over_repeats(
+    repeats: Sequence[Interval], windows: Sequence[int], stated: Sequence[float], confidence: float
+) -> Interval:
     """Interval of the mean over repeats that were each measured in windows.
 
     repeats     one interval a repeat, over its own windows

@@ -1,0 +1,115 @@
+// Vega-Lite specs from the server, drawn without eval and in the page's own colours.
+
+import { el, fill, problem, quiet } from "/assets/dom.js";
+
+let library = null;
+const charts = () => (library ??= import("/assets/vega.js").catch((error) => {
+  library = null;
+  throw new Error(`The chart library did not load (${error.message}). Reload the page; if it stays, look at the server's log.`);
+}));
+
+// The spec is drawn for white paper. Its halos, ink, muted tone, grid, limit and budget (server: analysis/palette.py)
+// become the page's own, which can be read on a dark screen as well; the colours of the settings stay as they are.
+const PAPER_COLOURS = {
+  "#ffffff": "--card", "#1f2933": "--ink", "#7b8794": "--soft", "#e4e7eb": "--line", "#009e73": "--limit", "#d55e00": "--budget",
+};
+
+function inPageColours(spec) {
+  const style = getComputedStyle(document.documentElement);
+  const recoloured = JSON.parse(JSON.stringify(spec, function inkFor(key, value) {
+    const halo = this.type === "text"; // a point keeps its white edge: dark colours need it most on a dark screen
+    const name = value === "#ffffff" && !halo ? null : PAPER_COLOURS[value];
+    return name ? style.getPropertyValue(name).trim() : value;
+  }));
+  const config = { ...recoloured.config, background: "transparent", font: getComputedStyle(document.body).fontFamily };
+  const screen = document.documentElement.clientWidth;
+  if (screen < 600) {
+    config.legend = { ...config.legend, columns: 2, labelLimit: 190, labelFontSize: 11, layout: { bottom: { direction: "vertical" } } };
+    config.title = { ...config.title, limit: screen - 60 };
+  }
+  return { ...recoloured, background: "transparent", config };
+}
+
+// One chart in `box`. show(spec, description) draws when the spec has changed; mark(x, y) rings a point.
+export function chartIn(box, { onPick } = {}) {
+  let drawn = null;
+  let view = null;
+  let marked = null;
+  let latest = 0;
+  const ring = el("span", { class: "ring", hidden: true, "aria-hidden": "true" });
+
+  const place = () => {
+    const at = view && marked && pixelOf(view, marked);
+    ring.hidden = !at;
+    if (at) { ring.style.left = `${at[0]}px`; ring.style.top = `${at[1]}px`; }
+  };
+
+  async function show(spec, description) {
+    const text = JSON.stringify(spec);
+    if (text === drawn) return place();
+    drawn = text;
+    const turn = ++latest;
+    if (!view) fill(box, quiet("Drawing the chart …"));
+    try {
+      const { vegaEmbed } = await charts();
+      const canvas = el("div", { class: "canvas" });
+      const stage = el("div", { class: "stage" }, canvas, ring);
+      if (turn !== latest) return undefined;
+      fill(box, stage); // in the page before it is drawn, because its width is its container's
+      const result = await vegaEmbed(canvas, inPageColours(spec), {
+        mode: "vega-lite", ast: true, actions: false, renderer: "svg", defaultStyle: false,
+        tooltip: { disableDefaultStyle: true, theme: "joulebox" },
+      });
+      if (turn !== latest) return result.finalize();
+      view?.finalize();
+      view = result.view;
+      view.description(description);
+      canvas.querySelector("svg")?.setAttribute("aria-label", description);
+      view.addEventListener("click", (event, item) => onPick?.(item?.datum ?? null, nearestIn(view, event)));
+      view.addEventListener("resize", place);
+      view.addResizeListener(() => requestAnimationFrame(place));
+    } catch (error) {
+      drawn = null;
+      fill(box, problem(error));
+    }
+    return place();
+  }
+
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+    if (!drawn) return;
+    const spec = JSON.parse(drawn);
+    drawn = null;
+    show(spec, view?.description() ?? "");
+  });
+
+  return {
+    show,
+    mark(point) { marked = point; place(); },
+    say(...nodes) { latest += 1; drawn = null; view?.finalize(); view = null; fill(box, ...nodes); },
+  };
+}
+
+// Where a data point lies inside the chart's box [px], or null when the chart has no such scales.
+function pixelOf(view, { x, y }) {
+  try {
+    const [left, top] = view.origin();
+    const padding = view.padding();
+    const at = [left + padding.left + view.scale("x")(x), top + padding.top + view.scale("y")(y)];
+    return at.every(Number.isFinite) ? at : null;
+  } catch { return null; }
+}
+
+// For fingers: finds the point nearest to a click among `points` ({x, y}), if within `reach` pixels.
+function nearestIn(view, event) {
+  const box = view.container().getBoundingClientRect();
+  const [x, y] = [event.clientX - box.left, event.clientY - box.top];
+  return (points, reach = 24) => {
+    let best = null;
+    for (const point of points) {
+      const at = pixelOf(view, point);
+      const distance = at ? Math.hypot(at[0] - x, at[1] - y) : Infinity;
+      if (distance <= (best?.distance ?? reach)) best = { point, distance };
+    }
+    return best?.point ?? null;
+  };
+}
