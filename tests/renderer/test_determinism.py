@@ -1,0 +1,67 @@
+"""The same scene, settings and seed give the same pixels, whatever the threads, the chunks and the bands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from joulebox_render import integrator
+
+SIZE: dict[str, Any] = {
+    "width": 20, "height": 13, "samples_per_pixel": 2, "shadow_rays": 5, "final_gather_rays": 7,
+    "global_photons": 3000, "caustic_photons": 1500, "gather_count": 20,
+}  # fmt: skip
+METHODS: dict[str, dict[str, Any]] = {
+    "none": {"indirect": "none"},
+    "direct_visualization": {"indirect": "direct_visualization", "gather_filter": "cone"},
+    "final_gather": {"indirect": "final_gather", "sampler": "independent"},
+    "final_gather at every look-up": {"indirect": "final_gather", "photon_spacing": 0},
+    "final_gather, absorbed photons": {"indirect": "final_gather", "store_at_every_bounce": False},
+    "path": {"indirect": "path"},
+}
+SCENES = ["cornell-boxes", "cornell-spheres", "caustic-ring"]
+Render = Callable[..., Any]
+
+
+@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("method", METHODS)
+def test_threads_chunks_and_bands_do_not_show(
+    render: Render, monkeypatch: pytest.MonkeyPatch, scene: str, method: str
+) -> None:
+    """Chunks of odd sizes, so that rays fall at all places of vector lanes; bands of one pixel and of three rows."""
+    settings = {**SIZE, **METHODS[method]}
+    first = render(scene, **settings)
+    assert np.isfinite(first.pixels).all()
+    assert first.pixels.max() > 0
+    for threads, chunk_rays, band_rays in (
+        (1, 500, 131_072), (2, 1237, 131_072), (3, 50_000, 131_072), (2, 16_384, 120), (3, 777, 2 * 37),
+    ):  # fmt: skip
+        monkeypatch.setattr(integrator, "BAND_RAYS", band_rays)
+        other = render(scene, chunk_rays=chunk_rays, **{**settings, "threads": threads})
+        np.testing.assert_array_equal(other.pixels, first.pixels)
+        assert other.pixel_sha256 == first.pixel_sha256
+        assert other.photons == first.photons
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_another_seed_gives_other_pixels(render: Render, method: str) -> None:
+    settings = {**SIZE, **METHODS[method], "width": 13}
+    ours, other = (render("cornell-spheres", seed=seed, **settings).pixels for seed in (0, 1))
+    changed = (ours != other).any(axis=-1)
+    # The lamp and what is black stay as they are; all the rest is noise of its own.
+    assert changed.mean() > 0.8
+
+
+def test_the_same_session_renders_the_same_image_again(open_session: Callable[..., Any]) -> None:
+    session = open_session("cornell-spheres", **SIZE)
+    assert session.render().pixel_sha256 == session.render().pixel_sha256
+
+
+def test_threads_take_part(open_session: Callable[..., Any]) -> None:
+    """Work does go to as many threads as asked for."""
+    session = open_session("cornell-boxes", chunk_rays=500, **{**SIZE, "threads": 3})
+    assert session.build()["threads"] == 3
+    session.render()
+    assert len(session.context.pool._executor._threads) == 3

@@ -1,0 +1,87 @@
+"""The plan leaves out what cannot change a pixel, and nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from joulebox_render.plan import Plan, make_plan
+from joulebox_render.scene import load_scene
+from joulebox_render.settings import make_settings
+
+SMALL: dict[str, Any] = {
+    "width": 12, "height": 12, "samples_per_pixel": 2, "shadow_rays": 4, "final_gather_rays": 8,
+    "global_photons": 2000, "caustic_photons": 300, "gather_count": 20,
+}  # fmt: skip
+INDIRECT = ("none", "direct_visualization", "final_gather", "path")
+STAGES = {"photon_map", "precomputed_irradiance", "direct", "indirect", "caustics"}
+
+
+def plan_of(scene: str, **settings: Any) -> Plan:
+    return make_plan(load_scene(scene), make_settings(settings))
+
+
+@pytest.mark.parametrize("indirect", INDIRECT)
+@pytest.mark.parametrize("scene", ["cornell-boxes", "point-light", "furnace", "cornell-spheres"])
+def test_what_is_left_out_does_not_change_a_pixel(open_session: Callable[..., Any], scene: str, indirect: str) -> None:
+    """Against everything that the settings ask for forced on: identical pixels."""
+    planned = open_session(scene, **SMALL, indirect=indirect)
+    forced = open_session(scene, force_all=True, **SMALL, indirect=indirect)
+    np.testing.assert_array_equal(planned.render().pixels, forced.render().pixels)
+    if scene != "cornell-spheres":
+        assert forced.plan.specular_recursion
+        assert not planned.plan.specular_recursion
+        assert forced.plan.caustic_map == (indirect != "path")
+
+
+def test_a_diffuse_scene_needs_no_caustics_and_no_specular_recursion() -> None:
+    plan = plan_of("cornell-boxes")
+    assert plan.run == ["photon_map", "precomputed_irradiance", "direct", "indirect"]
+    assert plan.left_out == {"caustics": "no specular surface", "specular_recursion": "no specular surface"}
+
+
+def test_a_scene_with_mirror_and_glass_needs_everything() -> None:
+    plan = plan_of("cornell-spheres")
+    assert plan.run == ["photon_map", "precomputed_irradiance", "direct", "indirect", "caustics"]
+    assert plan.left_out == {}
+
+
+@pytest.mark.parametrize(
+    ("settings", "part", "reason"),
+    [
+        ({"indirect": "path"}, "photon_map", "no stage asks for photons"),
+        ({"indirect": "path"}, "caustics", "indirect=path finds caustics by its paths"),
+        ({"indirect": "path"}, "global_map", "indirect=path asks for no photons"),
+        ({"indirect": "none"}, "indirect", "indirect=none"),
+        ({"indirect": "none"}, "global_map", "indirect=none asks for no photons"),
+        ({"indirect": "none", "caustics": False}, "photon_map", "no stage asks for photons"),
+        ({"caustics": False}, "caustics", "caustics=false"),
+        ({"caustic_photons": 0}, "caustics", "caustic_photons=0"),
+        ({"photon_spacing": 0}, "precomputed_irradiance", "photon_spacing=0 gathers photons at every look-up"),
+        (
+            {"indirect": "direct_visualization"},
+            "precomputed_irradiance",
+            "nothing looks it up without final gathering",
+        ),
+    ],
+)
+def test_settings_leave_out_what_they_do_not_ask_for(settings: dict[str, Any], part: str, reason: str) -> None:
+    plan = plan_of("cornell-spheres", **settings)
+    assert plan.left_out[part] == reason
+    assert part not in plan.run
+
+
+@pytest.mark.parametrize("scene", ["cornell-boxes", "cornell-spheres", "point-light"])
+@pytest.mark.parametrize("indirect", INDIRECT)
+@pytest.mark.parametrize("caustics", [True, False])
+def test_every_stage_runs_or_is_left_out_for_a_reason_and_is_timed_if_it_runs(
+    open_session: Callable[..., Any], scene: str, indirect: str, caustics: bool
+) -> None:
+    session = open_session(scene, **SMALL, indirect=indirect, caustics=caustics)
+    plan = session.plan
+    assert set(plan.run) | (set(plan.left_out) & STAGES) == STAGES
+    assert not set(plan.run) & set(plan.left_out)
+    assert all(plan.left_out.values())
+    assert list(session.render().clock.totals()) == plan.run

@@ -1,0 +1,416 @@
+"""Chi-square tests of every sampler against its density.
+
+Seeds are fixed, so each test either passes or fails for good; ALPHA is the chance that a correct sampler would
+have failed when its seed was chosen (two-sided: a fit that is too good is as suspicious for independent samples).
+With some forty tests of 0.0002 the whole file is a false alarm once in a hundred choices.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from joulebox_render.kernels.lighting import emit_photons, shadow_rays
+from joulebox_render.kernels.rng import child_key, path_key, sample_2d, uniform
+from joulebox_render.kernels.transport import camera_rays, gather_rays
+from joulebox_render.kernels.vector import tangent_frame
+from joulebox_render.records import POINT_LIGHT, Points, Rays
+from joulebox_render.scene import load_scene
+from joulebox_render.stages.context import Context
+from joulebox_render.tables import SceneTables, scene_tables
+from scipy import stats
+
+ALPHA = 2e-4
+INDEPENDENT = -1
+FLOOR = '<shape type="rectangle"><transform name="to_world"><scale value="2"/></transform></shape>'
+POINT = (
+    '<emitter type="point"><point name="position" value="0.2,0.1,1"/><rgb name="intensity" value="3 2 1"/></emitter>'
+)
+SPOT = (
+    '<emitter type="spot"><float name="cutoff_angle" value="40"/><float name="beam_width" value="20"/>'
+    '<rgb name="intensity" value="3 2 1"/><transform name="to_world">'
+    '<lookat origin="0,0,1" target="0.3,0.1,0" up="0,1,0"/></transform></emitter>'
+)
+EMITTER = '<emitter type="area"><rgb name="radiance" value="3 2 1"/></emitter>'
+TILTED = '<rotate x="0.8" y="0.6" angle="160"/><translate value="0.3,-0.2,1"/>'
+RECTANGLE = (
+    f'<shape type="rectangle"><transform name="to_world"><scale x="0.4" y="0.2" z="1"/>{TILTED}</transform>'
+    f"{EMITTER}</shape>"
+)
+DISK = f'<shape type="disk"><transform name="to_world"><scale value="0.3"/>{TILTED}</transform>{EMITTER}</shape>'
+SPHERE = (
+    f'<shape type="sphere"><point name="center" value="0.3,-0.2,1"/><float name="radius" value="0.3"/>{EMITTER}</shape>'
+)
+CUBE = (
+    '<shape type="cube"><transform name="to_world"><scale x="0.1" y="0.2" z="0.3"/><translate value="0,0,1"/>'
+    f"</transform>{EMITTER}</shape>"
+)
+
+
+def assert_fits(counts: Any, expected: Any = None) -> None:
+    """Chi-square of observed counts against expected ones (equal where not given), two-sided at ALPHA."""
+    counts = np.asarray(counts, dtype=np.float64).ravel()
+    expected = np.full(len(counts), counts.mean()) if expected is None else np.asarray(expected, np.float64).ravel()
+    expected = expected * (counts.sum() / expected.sum())
+    assert expected.min() >= 5, "too few samples a bin for the chi-square distribution to hold"
+    p = stats.chisquare(counts, expected).pvalue
+    assert ALPHA / 2 < p < 1 - ALPHA / 2, f"p = {p:.3g}"
+
+
+def binned(bins: int, *coordinates: Any) -> Any:
+    """Counts of points of the unit cube in bins^n equal cells."""
+    return np.histogramdd(np.stack(coordinates, -1), bins=bins, range=[(0, 1)] * len(coordinates))[0]
+
+
+def keys(count: int, stream: int = 7, seed: int = 1) -> list[np.uint64]:
+    return [np.uint64(path_key(seed, stream, index)) for index in range(count)]
+
+
+def frame_of(normals: Any) -> tuple[Any, Any]:
+    """Tangents (N, 3) of each normal, checked to be an orthonormal right-handed frame."""
+    frames = np.array([tangent_frame(*map(float, normal)) for normal in normals])
+    s, t = frames[:, :3], frames[:, 3:]
+    np.testing.assert_allclose(np.cross(s, t), normals, atol=2e-6)
+    np.testing.assert_allclose(np.einsum("ij,ij->i", s, s), 1.0, atol=2e-6)
+    return s, t
+
+
+def cosine_cells(directions: Any, normals: Any) -> tuple[Any, Any]:
+    """Coordinates in which a cosine distribution about the normals is uniform: sin^2 theta and phi / 2 pi."""
+    s, t = frame_of(normals)
+    x, y, z = (np.einsum("ij,ij->i", directions, axis) for axis in (s, t, normals))
+    assert z.min() >= 0
+    np.testing.assert_allclose(x * x + y * y + z * z, 1.0, atol=1e-5)
+    return x * x + y * y, (np.arctan2(y, x) / (2 * math.pi)) % 1.0
+
+
+def points_at(position: Any, normal: Any, count: int = 1) -> Points:
+    """White points at one place, each with a key of its own."""
+    points = Points.empty(count)
+    points.position[:], points.normal[:], points.geometric[:] = position, normal, normal
+    points.albedo[:], points.weight[:] = 1, 1
+    points.owner[:] = np.arange(count)
+    points.key[:] = keys(count)
+    return points
+
+
+@pytest.fixture
+def tables_of(make_scene: Callable[..., Any]) -> Callable[[str], SceneTables]:
+    """Tables of a floor at z = 0 and the lights given."""
+    return lambda body: scene_tables(load_scene(make_scene(FLOOR + body)))
+
+
+def test_uniform_is_uniform_in_every_dimension() -> None:
+    samples = np.array([[uniform(key, dimension) for dimension in range(8)] for key in keys(8192)])
+    assert samples.min() >= 0
+    assert samples.max() < 1
+    for column in samples.T:
+        assert_fits(binned(64, column))
+    # Mean 1/2 and variance 1/12 (that of the variance is 1/180): 4.5 sigma, one false alarm in 70,000 each.
+    count = samples.size
+    assert abs(samples.mean() - 1 / 2) < 4.5 * math.sqrt(1 / 12 / count)
+    assert abs(samples.var() - 1 / 12) < 4.5 * math.sqrt(1 / 180 / count)
+
+
+@pytest.mark.parametrize(
+    "pairs",
+    [
+        lambda k: [(uniform(key, 0), uniform(key, 1)) for key in k],
+        lambda k: [(uniform(key, 1), uniform(key, 2)) for key in k],
+        lambda k: [(uniform(a, 0), uniform(b, 0)) for a, b in itertools.pairwise(k)],
+        lambda k: [(uniform(key, 0), uniform(np.uint64(child_key(key, 0)), 0)) for key in k],
+        lambda k: [(uniform(np.uint64(child_key(key, 0)), 0), uniform(np.uint64(child_key(key, 1)), 0)) for key in k],
+        lambda k: [(uniform(a, 0), uniform(b, 0)) for a, b in zip(k, keys(len(k), seed=2), strict=True)],
+        lambda k: [(uniform(a, 0), uniform(b, 0)) for a, b in zip(k, keys(len(k), stream=8), strict=True)],
+    ],
+    ids=["dimensions 0 1", "dimensions 1 2", "neighbours", "parent and child", "siblings", "seeds", "streams"],
+)
+def test_uniform_is_independent(pairs: Callable[[list[np.uint64]], list[tuple[float, float]]]) -> None:
+    assert_fits(binned(16, *np.array(pairs(keys(16384))).T))
+
+
+def test_no_key_is_met_twice() -> None:
+    """Among 40,000 keys of two streams and their first children a collision has a chance of 1e-10."""
+    found = [key for stream in (1, 2) for key in keys(10_000, stream)]
+    found += [np.uint64(child_key(key, 0)) for key in found]
+    assert len(set(map(int, found))) == len(found)
+
+
+def columns_of(count: int, sampler: str = "stratified") -> int:
+    """How the renderer places `count` samples."""
+    context: Any = SimpleNamespace(settings=SimpleNamespace(sampler=sampler))
+    return Context.columns(context, count)
+
+
+def pattern(key: np.uint64, count: int) -> Any:
+    return np.array([sample_2d(key, 1, i, count, columns_of(count)) for i in range(count)])
+
+
+@pytest.mark.parametrize("count", [1, 2, 4, 8, 9, 16, 36, 48, 64, 100, 144, 256])
+def test_a_grid_has_one_sample_in_every_cell(count: int) -> None:
+    columns = columns_of(count)
+    assert columns > 0
+    u, v = pattern(keys(1)[0], count).T
+    cells = np.floor(u * columns).astype(int) + columns * np.floor(v * (count // columns)).astype(int)
+    assert sorted(cells) == list(range(count))
+
+
+@pytest.mark.parametrize("count", [5, 7, 11, 22, 34, 93, 111, 155, 246, 259, 997])
+def test_a_latin_square_has_one_sample_in_every_row_and_column(count: int) -> None:
+    """Also where the golden section's step shares a factor with the count (93, 111, 155, 246, 259)."""
+    assert columns_of(count) < -1
+    for key in keys(3):
+        for coordinate in pattern(key, count).T:
+            assert sorted(np.floor(coordinate * count).astype(int)) == list(range(count))
+
+
+@pytest.mark.parametrize("count", [7, 12, 93])
+def test_stratified_samples_are_uniform_together(count: int) -> None:
+    """Pooled over keys. Strata cannot be over-full, so only too bad a fit counts; ALPHA is then conservative."""
+    samples = np.concatenate([pattern(key, count) for key in keys(12_000 // count)])
+    counts = binned(8, *samples.T)
+    assert stats.chisquare(counts.ravel()).pvalue > ALPHA
+
+
+def test_independent_samples_are_uniform_and_independent() -> None:
+    assert columns_of(64, "independent") == INDEPENDENT
+    samples = np.array([sample_2d(key, 1, i, 4, INDEPENDENT) for key in keys(4096) for i in range(4)])
+    assert_fits(binned(16, *samples.T))
+    first, second = samples[0::4], samples[1::4]
+    assert_fits(binned(8, first[:, 0], second[:, 0]))
+    assert_fits(binned(8, first[:, 1], second[:, 0]))
+
+
+@pytest.mark.parametrize("samples", [1, 4, 7, 155])
+def test_camera_samples_without_jitter_are_the_centres_of_their_strata(samples: int) -> None:
+    rays = Rays.empty(samples)
+    frame = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+    camera_rays(0, 0, samples, columns_of(samples), False, 1, 1, frame, 0.0, rays.origin, rays.direction, rays.key)
+    film = (rays.direction[:, :2] / rays.direction[:, 2:] + 1) / 2
+    columns = columns_of(samples)
+    strata = (columns, samples // columns) if columns > 0 else (samples, samples)
+    for coordinate, count in zip(film.T, strata, strict=True):
+        rows = coordinate * count - 0.5
+        np.testing.assert_allclose(rows, np.round(rows), atol=1e-3)
+        assert np.all(np.bincount(np.round(rows).astype(int), minlength=count) == samples // count)
+
+
+@pytest.mark.parametrize(
+    "normal", [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0.48, -0.6, 0.64), (1e-4, 0, -1), (-0.48, 0.6, -0.64)]
+)
+def test_gather_rays_are_cosine_distributed(normal: tuple[float, float, float]) -> None:
+    unit = np.array(normal) / np.linalg.norm(normal)
+    count = 20_000
+    rays = Rays.empty(count)
+    gather_rays(points_at((0, 0, 0), unit, count), 0, count, 1, INDEPENDENT, rays)
+    assert_fits(binned(10, *cosine_cells(rays.direction.astype(np.float64), np.tile(unit, (count, 1)))))
+
+
+def sampled_light(tables: SceneTables, count: int = 40_000) -> tuple[Any, Any, Any]:
+    """Directions, distances and values of shadow rays from the floor's origin to light 0."""
+    points = points_at((0, 0, 1e-5), (0, 0, 1))
+    origin, direction, value = (np.empty((count, 3), np.float32) for _ in range(3))
+    limit, owner = np.empty(count, np.float32), np.empty(count, np.int32)
+    written = shadow_rays(tables, 0, count, INDEPENDENT, points, 0, 1, origin, direction, limit, value, owner)
+    found = direction[:written].astype(np.float64)
+    return found, limit[:written] / (1 - 1e-4), value[:written].astype(np.float64) * count
+
+
+def test_a_rectangle_light_is_sampled_uniformly_by_area(tables_of: Callable[[str], SceneTables]) -> None:
+    tables = tables_of(RECTANGLE)
+    directions, distances, _ = sampled_light(tables)
+    assert len(directions) == 40_000
+    across = directions * distances[:, None] + (0, 0, 1e-5) - tables.light_position[0]
+    np.testing.assert_allclose(across @ tables.light_normal[0], 0, atol=1e-5)
+    edges = [tables.light_edge_u[0], tables.light_edge_v[0]]
+    assert_fits(binned(12, *((across @ edge / (edge @ edge) + 1) / 2 for edge in edges)))
+
+
+def test_a_disk_light_is_sampled_uniformly_by_area(tables_of: Callable[[str], SceneTables]) -> None:
+    tables = tables_of(DISK)
+    directions, distances, _ = sampled_light(tables)
+    across = directions * distances[:, None] + (0, 0, 1e-5) - tables.light_position[0]
+    np.testing.assert_allclose(across @ tables.light_normal[0], 0, atol=1e-5)
+    u, v = (across @ edge / (edge @ edge) for edge in (tables.light_edge_u[0], tables.light_edge_v[0]))
+    assert_fits(binned(12, np.minimum(u * u + v * v, 1), (np.arctan2(v, u) / (2 * math.pi)) % 1.0))
+
+
+@pytest.mark.parametrize("radius", [0.3, 0.9, 0.001])
+def test_a_sphere_light_is_sampled_uniformly_in_its_cone(
+    tables_of: Callable[[str], SceneTables], radius: float
+) -> None:
+    tables = tables_of(SPHERE.replace('value="0.3"', f'value="{radius}"'))
+    directions, distances, _ = sampled_light(tables)
+    centre = tables.light_position[0].astype(np.float64) - (0, 0, 1e-5)
+    ends = directions * distances[:, None] - centre
+    # Shadow rays end 1e-4 of their length before the light; single precision must stay within that.
+    np.testing.assert_allclose(np.linalg.norm(ends, axis=1), radius, atol=1e-4)
+    axis = centre / np.linalg.norm(centre)
+    spread = 1 - math.sqrt(1 - radius**2 / (centre @ centre))
+    s, t = (np.array(frame) for frame in np.split(np.array(tangent_frame(*axis)), 2))
+    # 1 - cos theta from the sine, which single precision keeps for small cones.
+    sine2 = (directions @ s) ** 2 + (directions @ t) ** 2
+    polar = sine2 / (1 + np.sqrt(1 - sine2)) / spread
+    whole = directions @ np.array([0, 0, 1]) > 0
+    assert whole.all()
+    assert_fits(binned(12, np.clip(polar, 0, 1), (np.arctan2(directions @ t, directions @ s) / (2 * math.pi)) % 1))
+
+
+def test_a_mesh_light_is_sampled_uniformly_by_area(tables_of: Callable[[str], SceneTables]) -> None:
+    """Where photons leave a cube of six different areas, by triangle and within the triangles."""
+    tables = tables_of(CUBE)
+    origin, _, _, _ = emitted(tables)
+    first, count = tables.light_triangle_first[0], tables.light_triangle_count[0]
+    corners = tables.vertices[tables.triangles[first : first + count]].astype(np.float64)
+    a, b, c = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(b, c)
+    area2 = np.einsum("ij,ij->i", normal, normal)
+    offset = origin[:, None, :] - a
+    height = np.einsum("nti,ti->nt", offset, normal) / np.sqrt(area2)
+    v = np.einsum("nti,ti->nt", np.cross(b, offset), normal) / area2
+    u = np.einsum("nti,ti->nt", np.cross(offset, c), normal) / area2
+    inside = (np.abs(height) < 1e-4) & (u >= -1e-5) & (v >= -1e-5) & (u + v <= 1 + 1e-5)
+    triangle = inside.argmax(axis=1)
+    assert inside.any(axis=1).all()
+    assert_fits(np.bincount(triangle, minlength=count), np.sqrt(area2))
+    rows = np.arange(len(origin))
+    chosen_u, chosen_v = u[rows, triangle].clip(0, 1), v[rows, triangle].clip(0, 1)
+    # 1 - (1 - u)^2 and v / (1 - u) are uniform and independent in a triangle.
+    assert_fits(binned(10, 1 - (1 - chosen_u) ** 2, (chosen_v / np.maximum(1 - chosen_u, 1e-9)).clip(0, 1)))
+
+
+@pytest.mark.parametrize("light", [RECTANGLE, DISK, SPHERE, CUBE], ids=["rectangle", "disk", "sphere", "mesh"])
+def test_directions_towards_a_light_have_the_density_they_are_weighted_with(
+    tables_of: Callable[[str], SceneTables], z_score: Callable[[Any, float], float], light: str
+) -> None:
+    """Sum of sample / density over the light's solid angle, by uniform directions instead: |z| < 4.5 (1 in 150,000).
+
+    The second estimate shoots uniform directions at the light; it shares nothing with the first but the geometry.
+    """
+    from joulebox_render.intersect import Intersector
+
+    tables = tables_of(light)
+    count = 40_000
+    _, _, value = sampled_light(tables, count)
+    values = np.concatenate([value[:, 0], np.zeros(count - len(value))])
+    random = np.random.default_rng(5)
+    z, phi = random.random(4 * count), 2 * math.pi * random.random(4 * count)
+    r = np.sqrt(1 - z * z)
+    direction = np.stack([r * np.cos(phi), r * np.sin(phi), z], -1).astype(np.float32)
+    origin = np.tile(np.array([0, 0, 1e-5], np.float32), (len(direction), 1))
+    hits = Intersector(tables).closest(origin, direction)
+    seen = (hits.primitive >= 0) & (tables.light[hits.primitive] == 0)
+    front = np.ones(len(seen))
+    if light in (RECTANGLE, DISK):
+        front = direction @ tables.light_normal[0] < 0
+    other = np.where(seen, front, 0) * z * tables.light_radiance[0, 0] / math.pi * 2 * math.pi
+    if light == CUBE:
+        # Samples on the cube's far faces are not even written: they face away.
+        assert len(value) < count
+    difference = values.mean() - other.mean()
+    error = math.hypot(values.std() / math.sqrt(len(values)), other.std() / math.sqrt(len(other)))
+    assert abs(difference) < 4.5 * error
+    assert error < 0.03 * other.mean()
+
+
+def emitted(tables: SceneTables, count: int = 40_000, seed: int = 3) -> tuple[Any, Any, Any, Any]:
+    """Origins, directions, fluxes and keys of photons."""
+    rays = Rays.empty(count)
+    emit_photons(tables, seed, 0, rays.origin, rays.direction, rays.weight, rays.key)
+    return (*(column.astype(np.float64) for column in rays[:3]), rays.key)
+
+
+def test_a_point_light_emits_uniformly(tables_of: Callable[[str], SceneTables]) -> None:
+    tables = tables_of(POINT)
+    origin, direction, flux, _ = emitted(tables)
+    np.testing.assert_allclose(origin, np.tile([0.2, 0.1, 1.0], (len(origin), 1)), atol=1e-6)
+    np.testing.assert_allclose(flux, np.tile(4 * math.pi * np.array([3, 2, 1]), (len(flux), 1)), rtol=1e-5)
+    x, y, z = direction.T
+    assert_fits(binned(12, (z + 1) / 2, (np.arctan2(y, x) / (2 * math.pi)) % 1.0))
+
+
+def test_a_spot_light_emits_its_falloff(tables_of: Callable[[str], SceneTables]) -> None:
+    """Directions are uniform in the cone; flux carries the falloff and adds up to the light's power.
+
+    The mean flux of each of ten bands of angle is within 4.5 standard errors (1 in 15,000 for ten) of the integral
+    of the falloff over the band.
+    """
+    tables = tables_of(SPOT)
+    _, direction, flux, _ = emitted(tables)
+    axis = tables.light_normal[0].astype(np.float64)
+    cosine = direction @ axis
+    edges = np.linspace(math.cos(math.radians(40)), 1, 11)
+    band = np.clip(np.digitize(cosine, edges) - 1, 0, 9)
+    s, t = (np.array(frame) for frame in np.split(np.array(tangent_frame(*axis)), 2))
+    azimuth = (np.arctan2(direction @ t, direction @ s) / (2 * math.pi)) % 1.0
+    assert_fits(binned(10, (cosine - edges[0]) / (1 - edges[0]), azimuth))
+    for row in range(10):
+        cosines = np.linspace(edges[row], edges[row + 1], 2001)
+        falloff = np.clip((40 - np.degrees(np.arccos(np.minimum(cosines, 1)))) / 20, 0, 1)
+        expected = 3 * 2 * math.pi * np.trapezoid(falloff, cosines)
+        share = np.where(band == row, flux[:, 0], 0)
+        assert abs(share.mean() - expected) < 4.5 * share.std() / math.sqrt(len(share)) + 1e-6
+    total = flux[:, 0]
+    assert abs(total.mean() - tables.light_power[0, 0]) < 4.5 * total.std() / math.sqrt(len(total))
+
+
+@pytest.mark.parametrize("light", [RECTANGLE, DISK], ids=["rectangle", "disk"])
+def test_flat_lights_emit_by_cosine_from_everywhere_alike(tables_of: Callable[[str], SceneTables], light: str) -> None:
+    tables = tables_of(light)
+    origin, direction, flux, _ = emitted(tables)
+    np.testing.assert_allclose(flux, np.tile(tables.light_power[0], (len(flux), 1)), rtol=1e-5)
+    normals = np.tile(tables.light_normal[0].astype(np.float64), (len(origin), 1))
+    assert_fits(binned(12, *cosine_cells(direction, normals)))
+    across = origin - tables.light_position[0]
+    u, v = (across @ edge / (edge @ edge) for edge in (tables.light_edge_u[0], tables.light_edge_v[0]))
+    if light == RECTANGLE:
+        place = ((u + 1) / 2, (v + 1) / 2)
+    else:
+        place = (np.minimum(u * u + v * v, 1), (np.arctan2(v, u) / (2 * math.pi)) % 1.0)
+    assert_fits(binned(12, *place))
+    # Where and whither are independent of each other.
+    assert_fits(binned(6, place[0], cosine_cells(direction, normals)[0], cosine_cells(direction, normals)[1]))
+
+
+@pytest.mark.parametrize("flip", [False, True], ids=["outwards", "inwards"])
+def test_a_sphere_light_emits_by_cosine_from_everywhere_alike(
+    tables_of: Callable[[str], SceneTables], flip: bool
+) -> None:
+    flipped = '<boolean name="flip_normals" value="true"/><emitter' if flip else "<emitter"
+    tables = tables_of(SPHERE.replace("<emitter", flipped))
+    origin, direction, _, _ = emitted(tables)
+    outwards = (origin - tables.light_position[0].astype(np.float64)) / 0.3
+    lengths = np.linalg.norm(outwards, axis=1, keepdims=True)
+    np.testing.assert_allclose(lengths, 1, atol=1e-3)
+    outwards /= lengths
+    assert_fits(binned(12, (outwards[:, 2] + 1) / 2, (np.arctan2(outwards[:, 1], outwards[:, 0]) / (2 * math.pi)) % 1))
+    assert_fits(binned(12, *cosine_cells(direction, -outwards if flip else outwards)))
+
+
+def test_lights_are_chosen_in_proportion_to_their_power(tables_of: Callable[[str], SceneTables]) -> None:
+    """Photons of all lights carry equal power, and each light's photons are as many as its share."""
+    strong = POINT.replace("0.2,0.1,1", "-1,0,1").replace("3 2 1", "9 6 3")
+    tables = tables_of(POINT + strong + RECTANGLE)
+    origin, _, flux, _ = emitted(tables)
+    power = tables.light_power.astype(np.float64).mean(axis=1)
+    np.testing.assert_allclose(flux.mean(axis=1), power.sum(), rtol=1e-5)
+    points = tables.light_kind == POINT_LIGHT
+    at_light = np.linalg.norm(origin[:, None, :] - tables.light_position, axis=2) < 1e-6
+    counts = np.where(points, at_light.sum(axis=0), 0)
+    assert_fits(np.where(points, counts, len(origin) - counts.sum()), power)
+
+
+def test_photons_do_not_depend_on_who_asks_for_them(tables_of: Callable[[str], SceneTables]) -> None:
+    """Photon number n is the same in any batch."""
+    tables = tables_of(RECTANGLE + POINT)
+    whole, part = Rays.empty(100), Rays.empty(37)
+    emit_photons(tables, 9, 0, whole.origin, whole.direction, whole.weight, whole.key)
+    emit_photons(tables, 9, 41, part.origin, part.direction, part.weight, part.key)
+    for all_, some in zip(whole, part, strict=True):
+        if all_ is not whole.owner:
+            np.testing.assert_array_equal(all_[41:78], some)
