@@ -136,7 +136,7 @@ def plan(
 
 
 @app.command()
-def schema() -> None:
+def schema(json_: JsonOption = True) -> None:
     """Print the JSON Schema of the settings."""
     print(json.dumps(settings_schema(), indent=1))
 

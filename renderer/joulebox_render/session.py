@@ -37,6 +37,7 @@ class Image:
     cpu_s: float
     clock: StageClock
     photons: dict[str, int]
+    irradiance_records: int
     notes: list[str]
 
     @property
@@ -112,9 +113,11 @@ class Session:
                 f"{self.settings.width}x{self.settings.height}; lower global_photons or samples_per_pixel"
             ) from None
         cpu_s, end = time.process_time() - cpu_start, time.perf_counter_ns()
+        records = rendering.maps.irradiance
         return Image(
-            rendering.pixels, start, end, cpu_s, clock, photon_counts(rendering), photon_notes(rendering)
-        )
+            rendering.pixels, start, end, cpu_s, clock, photon_counts(rendering),
+            len(records.irradiance) if records else 0, photon_notes(rendering),
+        )  # fmt: skip
 
     def stop(self) -> None:
         """Give up the image that is being rendered: `render` raises StoppedError. May be called by a signal handler."""
@@ -149,6 +152,7 @@ class Session:
             "stages": image.clock.totals(),
             "thesis_stages": image.clock.thesis_totals(),
             "photons": image.photons,
+            "irradiance_records": image.irradiance_records,
             "notes": [*self.scene.notes, *image.notes],
             "peak_rss_bytes": peak_rss_bytes(),
         }  # fmt: skip
@@ -168,6 +172,7 @@ def photon_counts(rendering: Rendering) -> dict[str, int]:
     for name, photons in (("global", rendering.maps.global_map), ("caustic", rendering.maps.caustic_map)):
         counts[f"{name}_stored"] = photons.stored if photons else 0
         counts[f"{name}_emitted"] = photons.emitted if photons else 0
+    counts["direct_stored"] = 0  # no photons are kept for the shadow test
     return counts
 
 

@@ -163,20 +163,23 @@ def gather_rays(points, first, last, count, columns, rays):
     """Cosine-distributed rays into the hemisphere over points [first, last), `count` a point.
 
     Each ray's weight is albedo / count, so that the mean of weight x incident radiance is the reflected
-    radiance; owner is the point's row counted from `first`. rays is overwritten. Source: Jensen 2001, eq. 8.6.
+    radiance; owner is the point's row counted from `first`. A ray that an interpolated normal sends below the
+    surface counts nothing. rays is overwritten. Source: Jensen 2001, eq. 8.6.
     """
     row = 0
     for point in range(first, last):
         px, py, pz = row3(points.position, point)
         nx, ny, nz = row3(points.normal, point)
+        gx, gy, gz = row3(points.geometric, point)
         ax, ay, az = row3(points.albedo, point)
         key = child_key(points.key[point], GATHER_BRANCH)
         for i in range(count):
             u, v = sample_2d(key, 1, i, count, columns)
             dx, dy, dz = cosine_direction(nx, ny, nz, u, v)
+            share = 1.0 / count if dx * gx + dy * gy + dz * gz > 0.0 else 0.0
             push_ray(
                 rays, row, px, py, pz, dx, dy, dz,
-                ax / count, ay / count, az / count, point - first, child_key(key, i),
+                ax * share, ay * share, az * share, point - first, child_key(key, i),
             )  # fmt: skip
             row += 1
 
@@ -202,7 +205,10 @@ def continue_paths(points, bounce, rays):
                 continue
         px, py, pz = row3(points.position, point)
         nx, ny, nz = row3(points.normal, point)
+        gx, gy, gz = row3(points.geometric, point)
         dx, dy, dz = cosine_direction(nx, ny, nz, uniform(key, 1), uniform(key, 2))
+        if dx * gx + dy * gy + dz * gz <= 0.0:
+            continue
         push_ray(
             rays, row, px, py, pz, dx, dy, dz,
             wx / chance, wy / chance, wz / chance, points.owner[point], child_key(key, 0),

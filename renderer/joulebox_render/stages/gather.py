@@ -29,10 +29,14 @@ MAX_PATH_BOUNCES = 1000
 
 
 class IrradianceRecords(NamedTuple):
-    """Irradiance computed ahead at some photons' positions: tree, irradiance (R, 3) f4 in its order [W m^-2]."""
+    """Irradiance computed ahead at some photons' positions: tree, irradiance (R, 3) f4 in its order [W m^-2].
+
+    reach_m is how far a look-up may go: records of every nth photon lie sqrt(n) times as far apart as photons.
+    """
 
     tree: Tree
     irradiance: F4
+    reach_m: float
 
 
 @dataclass(frozen=True)
@@ -86,7 +90,7 @@ def precompute_irradiance(context: Context, photons: PhotonMap) -> IrradianceRec
     parts = list(context.pool.map_chunks(chunk, len(position), RAYS_PER_ESTIMATE))
     irradiance = np.concatenate(parts) if parts else np.zeros((0, 3), np.float32)
     tree, order = grow_tree(position, normal)
-    return IrradianceRecords(tree, np.ascontiguousarray(irradiance[order]))
+    return IrradianceRecords(tree, np.ascontiguousarray(irradiance[order]), estimate.reach_m * math.sqrt(step))
 
 
 def show_photons(context: Context, estimate: DensityEstimate, points: Points) -> F8:
@@ -169,6 +173,6 @@ def _look_up(estimate: DensityEstimate, records: IrradianceRecords | None, point
     irradiance = np.empty((len(points.owner), 3), np.float32)
     nearest_irradiance(
         records.tree, records.irradiance, points.position, points.normal,
-        estimate.reach_m, estimate.cos_limit, Scratch.empty(1), irradiance,
+        records.reach_m, estimate.cos_limit, Scratch.empty(1), irradiance,
     )  # fmt: skip
     return irradiance

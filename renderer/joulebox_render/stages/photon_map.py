@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -142,14 +143,14 @@ def grow_tree(position: F4, normal: F4) -> tuple[Tree, np.ndarray]:
     return Tree(np.ascontiguousarray(position[order]), np.ascontiguousarray(normal[order]), axis, plane), order
 
 
-def _trace_round(context: Context, first_number: int, count: int) -> list[tuple[Photons, int, int]]:
+def _trace_round(context: Context, first_number: int, count: int) -> Iterator[tuple[Photons, int, int]]:
     """Emit `count` photons from number `first_number` on: (photons, emitted up to the chunk's end, rays) a chunk."""
 
     def chunk(first: int, last: int) -> tuple[Photons, int, int]:
         photons, rays = _trace_photons(context, first_number + first, last - first)
         return photons, first_number + last, rays
 
-    return list(context.pool.map_chunks(chunk, count, 2))
+    return context.pool.map_chunks(chunk, count, 2)
 
 
 def _trace_photons(context: Context, first_number: int, count: int) -> tuple[Photons, int]:
