@@ -88,14 +88,14 @@ def test_the_end_takes_along_what_ignores_it_and_what_it_started(
     assert gone(int((tmp_path / "pid").read_text()))
 
 
-def test_a_budget_is_half_the_reference_in_joules_or_else_in_seconds(
+def test_a_budget_is_a_share_of_the_reference_in_joules_or_else_in_seconds(
     demo: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     reference = {"energy_j": {"value": 30.0}, "time_s": {"value": 2.0}}
     monkeypatch.setattr(demo.Demo, "ask", lambda *_: {"reference": reference})
-    assert demo.half_of_the_reference(demo.Demo(tmp_path), "id", "box", ()) == ("--budget-j", "15")
+    assert demo.share_of_the_reference(demo.Demo(tmp_path), "id", "box", ()) == ("--budget-j", "22")
     reference["energy_j"] = None  # type: ignore[assignment]
-    assert demo.half_of_the_reference(demo.Demo(tmp_path), "id", "box", ()) == ("--budget-s", "1")
+    assert demo.share_of_the_reference(demo.Demo(tmp_path), "id", "box", ()) == ("--budget-s", "1.5")
 
 
 @pytest.fixture
