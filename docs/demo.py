@@ -20,7 +20,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 SWEEP = "docs/demo-sweep.toml"
 SCENES = ("cornell-boxes", "cornell-spheres")
-SHARE = 0.75
+SHARE = 0.5
 """The budget that the demo asks about, as a share of what the reference costs."""
 REPLAY = "replay@0.1"
 """The scripted trace, played as a gauge that refreshes every 0.1 s, so that short windows resolve it."""
@@ -165,7 +165,7 @@ def show_the_whole(demo: Demo) -> None:
         demo.run("joulebox", "tradeoff", sweep, "--scene", scene, *at)
 
     say(f"The dashboard, while the demo runs: {url}")
-    say("The best settings for three quarters of what the reference costs:")
+    say("The best settings for half of what the reference costs:")
     for scene in SCENES:
         budget = share_of_the_reference(demo, sweep, scene, at)
         demo.run("joulebox", "recommend", sweep, "--scene", scene, *budget, *at)
@@ -210,8 +210,13 @@ def share_of_the_reference(demo: Demo, sweep: str, scene: str, at: tuple[str, ..
         raise DemoError(f"The sweep has no reference for {scene}, so there is nothing to save on.")
     energy_j = reference["energy_j"]
     if energy_j is None:
-        return "--budget-s", f"{reference['time_s']['value'] * SHARE:.2g}"
-    return "--budget-j", f"{energy_j['value'] * SHARE:.2g}"
+        return "--budget-s", amount(reference["time_s"]["value"] * SHARE)
+    return "--budget-j", amount(energy_j["value"] * SHARE)
+
+
+def amount(value: float) -> str:
+    """A number as a person would type it: two digits, or whole."""
+    return f"{value:.0f}" if value >= 10 else f"{value:.2g}"
 
 
 def stay(demo: Demo) -> None:

@@ -11,7 +11,7 @@ export const QUALITY = {
   },
   replayed: {
     label: "replayed joules", unit: "J replayed",
-    explanation: "Joules come from a recorded discharge that was played back, not from this device: "
+    explanation: "Joules come from a discharge trace that was played back, not from this device: "
       + "good for trying joulebox out, not for conclusions.",
   },
   time_only: {

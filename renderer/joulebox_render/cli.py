@@ -16,7 +16,7 @@ from rich.table import Table
 
 from joulebox_render import __version__
 from joulebox_render.cli_scenes import DefineOption, JsonOption, SceneArgument, read_defines, scenes_app
-from joulebox_render.errors import RenderError, SettingsError
+from joulebox_render.errors import RenderError, SettingsError, TargetError
 from joulebox_render.settings import (
     Settings,
     make_settings,
@@ -186,13 +186,13 @@ def _check_target(path: Path | None, suffix: str = "") -> None:
     if path is None:
         return
     if path.suffix.lower() != suffix and suffix:
-        raise RenderError(f"{path} needs a name that ends in {suffix}")
+        raise TargetError(f"{path} needs a name that ends in {suffix}")
     if path.is_dir():
-        raise RenderError(f"{path} is a folder; give the name of a file to write")
+        raise TargetError(f"{path} is a folder; give the name of a file to write")
     if not path.absolute().parent.is_dir():
-        raise RenderError(f"{path} cannot be written: there is no folder {path.absolute().parent}; make it first")
+        raise TargetError(f"{path} cannot be written: there is no folder {path.absolute().parent}; make it first")
     if not os.access(path.absolute().parent, os.W_OK):
-        raise RenderError(f"{path} cannot be written: the folder {path.absolute().parent} is not writable")
+        raise TargetError(f"{path} cannot be written: the folder {path.absolute().parent} is not writable")
 
 
 def _session(scene: str, settings: Settings, define: list[str] | None) -> Any:
@@ -212,6 +212,13 @@ def _compile_all() -> None:
     from joulebox_render.scene import list_scenes
     from joulebox_render.session import Session
 
+    if not compilation.CACHED:
+        messages.print(
+            f"note: {compilation.CACHE} cannot be written, so kernels are compiled at every start (about a minute); "
+            "set JOULEBOX_CACHE_DIR to a folder that can",
+            highlight=False,
+        )
+        return
     messages.print("compiling the renderer's kernels for this machine (once, about a minute) ...", highlight=False)
     names = {entry.name for entry in list_scenes()}
     for settings in ({}, {"photon_spacing": 0, "indirect": "direct_visualization"}, {"indirect": "path"}):
@@ -241,11 +248,17 @@ def write_text(path: Path, text: str) -> None:
 def main() -> None:
     """Entry point: errors of ours become one sentence and an exit code."""
     try:
-        app()
+        try:
+            app()
+        finally:
+            sys.stdout.flush()
     except RenderError as error:
         print(f"joulebox-render: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
-    except BrokenPipeError:
-        # The reader has gone; point stdout at nothing so that the interpreter's last flush stays quiet.
+    except OSError as error:
+        if not isinstance(error, BrokenPipeError):  # where the reader has gone nobody is left to tell
+            where = error.filename or "standard output"
+            print(f"joulebox-render: {where} cannot be used: {error.strerror}", file=sys.stderr)
+        # point stdout at nothing so that the interpreter's last flush stays quiet
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)

@@ -19,6 +19,12 @@ class SettingsError(RenderError):
     exit_code = 2
 
 
+class TargetError(RenderError):
+    """A file that the user named for a result cannot be written there."""
+
+    exit_code = 2
+
+
 class StoppedError(RenderError):
     """Rendering was given up because somebody asked for it."""
 

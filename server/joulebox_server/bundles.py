@@ -41,8 +41,10 @@ def _check_names(files: list[zipfile.ZipInfo]) -> None:
             raise InvalidError(f"the scene bundle may hold plain files only, {info.filename!r} is none")
         if info.flag_bits & ENCRYPTED:
             raise InvalidError(f"the scene bundle is encrypted ({info.filename!r})")
-    if len({name.lower() for name in names}) != len(names):
-        raise InvalidError("the scene bundle has two files of one name")
+    known = {name.lower() for name in names}
+    folders = {str(folder) for name in known for folder in PurePosixPath(name).parents}
+    if len(known) != len(names) or known & folders:
+        raise InvalidError("the scene bundle has two files of one name, or a file and a folder")
     if SCENE_FILE not in names:
         raise InvalidError(f"the scene bundle has no {SCENE_FILE} at its top; zip the inside of the folder")
 

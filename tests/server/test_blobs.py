@@ -35,7 +35,10 @@ def test_put_get_head_range(server: Server) -> None:
     part = server.client.get(path, headers={"Range": "bytes=100-199"})
     assert (part.status_code, part.content) == (206, CONTENT[100:200])
     assert part.headers["content-range"] == f"bytes 100-199/{len(CONTENT)}"
-    assert server.client.get(path, headers={"Range": "bytes=99999-"}).status_code == 416
+    beyond = server.client.get(path, headers={"Range": "bytes=99999-"})
+    told(beyond, 416, "range_not_satisfiable", f"within the blob's {len(CONTENT)} bytes")
+    assert beyond.headers["content-range"] == f"bytes */{len(CONTENT)}"
+    told(server.client.get(path, headers={"Range": "lines=0-1"}), 400, "http_error", "bytes=0-99")
 
 
 def test_wrong_digest_leaves_nothing(server: Server) -> None:

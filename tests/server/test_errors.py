@@ -106,6 +106,9 @@ BAD_SWEEPS: list[tuple[dict[str, Any], str, str]] = [
     ({"rule": "list"}, "the body", "belong together"),
     ({"devices": ["laptop"], "requires": {"os": "x"}}, "the body", "cannot both be given"),
     ({"limit": 0}, "limit", "greater than 0"),
+    ({"settings": {"seed": 10**30}}, "the body", "whole number from 0 to 9007199254740992"),
+    ({"axes": {"seed": [1, 1.5]}}, "the body", "seed is 1.5"),
+    ({"reference": {"settings": {"seed": True}}}, "the body", "seed is True"),
 ]
 
 
@@ -198,6 +201,7 @@ BAD_SCENES = [
     (scene_zip(**{"/etc/passwd": b"x"}), "outside its folder"),
     (scene_zip(**{"..\\escape.ply": b"x"}), "outside its folder"),
     (scene_zip(**{"SCENE.xml": b"x"}), "two files of one name"),
+    (scene_zip(**{"mesh": b"x", "mesh/box.ply": b"x"}), "two files of one name"),
 ]
 
 

@@ -88,6 +88,41 @@ def test_closed_store(tmp_path: Path) -> None:
         store.write(tokens.people_count, valid=True)
 
 
+def test_closing_waits_for_a_read_under_way(tmp_path: Path) -> None:
+    """SQLite ends the process with a segmentation fault when a connection is closed in the middle of a query."""
+    store, begun, gate = Store(tmp_path), threading.Event(), threading.Event()
+
+    def slow(db: Any) -> int:
+        begun.set()
+        gate.wait(5)
+        return number(db, "SELECT 7")
+
+    with ThreadPoolExecutor(2) as pool:
+        reading = pool.submit(store.read, slow)
+        assert begun.wait(5)
+        closing = pool.submit(store.close)
+        with pytest.raises(TimeoutError):
+            closing.result(0.1)
+        gate.set()
+        assert reading.result(5) == 7
+        closing.result(5)
+    with pytest.raises(UnavailableError):
+        store.read(number, "SELECT 7")
+
+
+def test_threads_that_come_and_go_leave_no_connections(store: Store) -> None:
+    """A web server's threads end after idling for seconds: one open connection each would fill the process."""
+
+    def connection(db: Any) -> int:
+        return id(db)
+
+    seen = set()
+    for _ in range(5):
+        with ThreadPoolExecutor(1) as pool:
+            seen.add(pool.submit(store.read, connection).result())
+    assert len(seen) == 1
+
+
 def test_two_stores_on_one_folder(tmp_path: Path) -> None:
     """A command beside the server: read-then-write from both, eight threads, no lock error, no write lost."""
     stores = [Store(tmp_path), Store(tmp_path)]

@@ -51,16 +51,16 @@ def started_browser() -> Iterator[Browser | None]:
 
 @dataclass
 class Watched:
-    """A page and what it must never do: log an error, break its policy, ask another host."""
+    """A page and what it must never do: log an error or a warning, break its policy, ask another host."""
 
     page: Page
     host: str
-    console_errors: list[str] = field(default_factory=list)
+    complaints: list[str] = field(default_factory=list)
     elsewhere: list[str] = field(default_factory=list)
 
     def hear(self, message: ConsoleMessage) -> None:
-        if message.type == "error":
-            self.console_errors.append(message.text)
+        if message.type in ("error", "warning"):
+            self.complaints.append(message.text)
 
     def see(self, request: Request) -> None:
         url = urlsplit(request.url)
@@ -69,7 +69,7 @@ class Watched:
 
     def check(self) -> None:
         """Fails when anything went wrong since the page was opened."""
-        assert self.console_errors == []
+        assert self.complaints == []
         assert self.page.evaluate("window.policyViolations") == []
         assert self.elsewhere == []
 
@@ -92,7 +92,7 @@ def opened(
         page.add_init_script(WATCH_POLICY)
         watched = Watched(page, urlsplit(url).netloc)
         page.on("console", watched.hear)
-        page.on("pageerror", lambda error: watched.console_errors.append(str(error)))
+        page.on("pageerror", lambda error: watched.complaints.append(str(error)))
         page.on("request", watched.see)
         page.goto(url + path)
         yield watched

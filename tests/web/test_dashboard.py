@@ -244,7 +244,7 @@ def test_asks_for_a_token(browser: Browser, tmp_path: Path) -> None:
         expect_three_pictures(page)
         expect(page.locator("#connection")).to_have_text("live")
         assert closed.viewer_token not in page.evaluate("location.href")
-        refused = [text for text in watched.console_errors if "401" not in text]
+        refused = [text for text in watched.complaints if "401" not in text]
         assert refused == []
 
 

@@ -1,5 +1,6 @@
 """The command `joulebox-agent`: exit code 0 good, 1 failed, 2 wrong use; failures are one sentence."""
 
+import os
 import sys
 
 import typer
@@ -38,11 +39,19 @@ def _options(
 def main() -> None:
     """Entry point of the command."""
     try:
-        app()
+        try:
+            app()
+        finally:
+            sys.stdout.flush()
     except AgentError as error:
         print(f"joulebox-agent: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
     except KeyboardInterrupt:
         sys.exit(130)
-    except BrokenPipeError:
+    except OSError as error:
+        if not isinstance(error, BrokenPipeError):  # where the reader has gone nobody is left to tell
+            where = error.filename or "standard output"
+            print(f"joulebox-agent: {where} cannot be used: {error.strerror}.", file=sys.stderr)
+        # point stdout at nothing so that the interpreter's last flush stays quiet
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)

@@ -11,6 +11,7 @@ from joulebox_agent.sources.sysfs import Sysfs
 
 NO_RATE = "the discharging pack tells no rate: no power_now, and not both of current_now and voltage_now"
 ZERO_RATE = "the gauge says 0 W while discharging"
+PLAUSIBLE_W = (0.01, 1000.0)  # no machine that renders draws less or more from its packs
 
 
 class BatteryGauge:
@@ -35,10 +36,10 @@ class BatteryGauge:
         if refusal:
             return self._report(None, refusal, remedy_for(supplies))
         power_w = total_w(supplies)
-        if power_w is None:
-            return self._report(None, NO_RATE, "use --source battery_counter")
-        if power_w == 0.0:
-            return self._report(None, ZERO_RATE, "wait for the gauge's first refresh")
+        problem = rate_problem(power_w)
+        if problem:
+            remedy = "wait for the gauge's first refresh" if problem == ZERO_RATE else "use --source battery_counter"
+            return self._report(None, problem, remedy)
         names = ", ".join(pack.name for pack in supplies.packs if pack.discharging)
         return self._report(power_w, f"{names} discharging, no cable online", "")
 
@@ -69,14 +70,26 @@ class BatteryGauge:
             return Reading(epoch=self._discharge.epoch, refusal=refusal)
         self._discharge.update(supplies.packs)
         power_w = total_w(supplies)
-        problem = NO_RATE if power_w is None else ZERO_RATE if power_w == 0.0 else None
+        problem = rate_problem(power_w)
         return Reading(
-            power_w=power_w or None,
+            power_w=None if problem else power_w,
             counter_j=self._discharge.used_j,
             epoch=self._discharge.epoch,
             raw=tuple(value for pack in supplies.packs for value in pack.raw),
             problem=problem,
         )
+
+
+def rate_problem(power_w: float | None) -> str | None:
+    """Why a sum of packs [W] is no reading, or None."""
+    if power_w is None:
+        return NO_RATE
+    if power_w == 0.0:
+        return ZERO_RATE
+    lowest_w, highest_w = PLAUSIBLE_W
+    if not lowest_w <= power_w <= highest_w:
+        return f"the gauge says {power_w:.3g} W, which no machine draws; its driver's units are wrong"
+    return None
 
 
 def total_w(supplies: Supplies) -> float | None:

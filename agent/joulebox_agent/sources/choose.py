@@ -74,13 +74,13 @@ def unfit_reason(name: str, sysfs_root: Path = Path("/sys")) -> str | None:
     With auto, a machine that has a battery waits for a discharge instead of quietly measuring less.
     """
     if name in ("auto", "battery_gauge", "battery_counter"):
-        supplies = PowerSupplyClass(Sysfs(sysfs_root))
-        if name == "auto" and not supplies.pack_folders():
-            return None
         try:
-            return supplies.read().refusal()
+            supplies = PowerSupplyClass(Sysfs(sysfs_root)).read()
         except OSError as error:
             return f"{error.filename}: {error.strerror}"
+        if name == "auto" and not supplies.packs:
+            return None
+        return supplies.refusal()
     return None
 
 

@@ -84,8 +84,14 @@ class PowerSupplyClass:
         self._cables: list[Path] = []
 
     def pack_folders(self) -> list[Path]:
-        """Folders of the system's packs: type Battery, not scope Device, present, one gauge a cell."""
-        self._find()
+        """Folders of the system's packs: type Battery, not scope Device, present.
+
+        Empty where a file fails that tells what is a pack; `read` says which.
+        """
+        try:
+            self._find()
+        except OSError:
+            return []
         return self._packs
 
     def read(self) -> Supplies:
@@ -99,15 +105,16 @@ class PowerSupplyClass:
         names = [child.name for child in self.sysfs.children(self.folder)]
         if names == self._names:
             return
-        self._names, self._packs, self._cables = names, [], []
+        packs, cables = [], []
         for folder in (self.folder / name for name in names):
             kind = self.sysfs.value(folder / "type") or ""
             if self.sysfs.value(folder / "scope") == "Device":
                 continue
             if kind == "Battery" and self.sysfs.integer(folder / "present") != 0:
-                self._packs.append(folder)
+                packs.append(folder)
             elif kind.startswith(CABLE_TYPES):
-                self._cables.append(folder)
+                cables.append(folder)
+        self._names, self._packs, self._cables = names, packs, cables  # all or nothing: a cable must not get lost
 
     def _pack(self, folder: Path) -> Pack:
         power_uw = self.sysfs.integer(folder / "power_now")
@@ -132,9 +139,13 @@ class PowerSupplyClass:
     def counter_step_j(self) -> float | None:
         """The step the packs' counters seem to move in [J]: what all their known values are multiples of.
 
-        A guess from one look, good enough to say what cannot be resolved; None without a counter.
+        A guess from one look, good enough to say what cannot be resolved; None without a counter, or where
+        a file fails.
         """
-        steps = [self._step_j(folder) for folder in self.pack_folders()]
+        try:
+            steps = [self._step_j(folder) for folder in self.pack_folders()]
+        except OSError:
+            return None
         known = [step for step in steps if step]
         return max(known) if known else None
 

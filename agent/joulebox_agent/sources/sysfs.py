@@ -7,7 +7,8 @@ from joulebox_agent.errors import UsageError
 
 # ENODEV and ENODATA are a driver's way to say "this value is not known"; a missing file says the same.
 SYSTEM_ROOT = Path("/sys")
-UNKNOWN_ERRNOS = {errno.ENOENT, errno.ENODEV, errno.ENODATA, errno.ENXIO, errno.EOPNOTSUPP}
+UNKNOWN_ERRNOS = {errno.ENOENT, errno.ENOTDIR, errno.ENODEV, errno.ENODATA, errno.ENXIO, errno.EOPNOTSUPP}
+LARGEST = 2**64  # no kernel value needs more bits, and a float holds it
 
 
 class Sysfs:
@@ -39,7 +40,7 @@ class Sysfs:
             raise
 
     def integer(self, path: Path) -> int | None:
-        """The file as an integer; None when unknown or not a number. EIO is tried once more, then raised."""
+        """The file as an integer; None when unknown or no kernel number. EIO is tried once more, then raised."""
         try:
             content = self.value(path)
         except OSError as error:
@@ -49,9 +50,10 @@ class Sysfs:
         if content is None:
             return None
         try:
-            return int(content)
+            number = int(content)
         except ValueError:
             return None
+        return number if abs(number) < LARGEST else None
 
     def children(self, folder: Path) -> list[Path]:
         """Sorted entries of a folder, empty when it does not exist."""

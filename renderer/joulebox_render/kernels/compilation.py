@@ -52,7 +52,7 @@ def cache_folder() -> Path:
 
 def is_compiled() -> bool:
     """Whether this version's kernels have been compiled on this machine before."""
-    return (CACHE / "complete").exists()
+    return CACHED and (CACHE / "complete").exists()
 
 
 def mark_compiled() -> None:
@@ -64,8 +64,19 @@ def mark_compiled() -> None:
         return
 
 
+def is_writable(folder: Path) -> bool:
+    """Whether compiled code can be kept in `folder`, which is made."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return False
+    return os.access(folder, os.W_OK)
+
+
 ISA = instruction_set()
 CACHE = cache_folder()
+# Left to itself numba would fall back to a folder that no hash of the sources names, or give up.
+CACHED = is_writable(CACHE)
 numba.config.CACHE_DIR = str(CACHE)  # type: ignore[attr-defined]
 if ISA.startswith("x86-64"):
     numba.config.CPU_NAME = ISA  # type: ignore[attr-defined]
@@ -74,5 +85,5 @@ if ISA.startswith("x86-64"):
 # Without numba's runtime a kernel cannot allocate, and need not: callers hand in all arrays. What it buys is that
 # passing the scene's arrays to a device function no longer counts references: 4.5x on the step of a path.
 _njit: Any = numba.njit  # `_nrt` is not in numba's annotations
-kernel = _njit(nogil=True, cache=True, fastmath=FAST_MATH, error_model="numpy", boundscheck=False, _nrt=False)
+kernel = _njit(nogil=True, cache=CACHED, fastmath=FAST_MATH, error_model="numpy", boundscheck=False, _nrt=False)
 device = _njit(nogil=True, fastmath=FAST_MATH, error_model="numpy", forceinline=True, _nrt=False)

@@ -183,6 +183,7 @@ def _stage_bars(rows: list[Row], axis: Axis, tradeoff: Tradeoff) -> Any:
     if axis == "energy_j":
         title = f"energy per image [J]{quality_suffix(tradeoff.energy_quality)}"
     labels = alt.Axis(title=None, labelLimit=260, ticks=False, domain=False, grid=False, labelPadding=8)
+    legend = alt.Legend(columns=2)  # three columns of stage names are wider than a phone
     colour_scale = alt.Scale(domain=present, range=[colours[name] for name in present])
     return (
         layers.data(rows)
@@ -190,7 +191,7 @@ def _stage_bars(rows: list[Row], axis: Axis, tradeoff: Tradeoff) -> Any:
         .encode(
             x=alt.X("cost:Q", stack="zero", axis=alt.Axis(title=title, format=",~r", tickCount=8)),
             y=alt.Y("bar:N", sort=None, axis=labels),
-            color=alt.Color("stage:N", title="stage", scale=colour_scale, legend=alt.Legend(columns=3)),
+            color=alt.Color("stage:N", title="stage", scale=colour_scale, legend=legend),
             order=alt.Order("order:Q"),
             tooltip=[
                 alt.Tooltip("configuration:N"),
@@ -199,5 +200,5 @@ def _stage_bars(rows: list[Row], axis: Axis, tradeoff: Tradeoff) -> Any:
                 alt.Tooltip("image:N", title="whole image"),
             ],
         )
-        .properties(height=alt.Step(BAR_STEP))
+        .properties(height=BAR_STEP * len({row["bar"] for row in rows}))  # a Step does not go with "fit-x"
     )

@@ -148,7 +148,8 @@ def data(rows: list[Row]) -> Any:
 
 def _scale(span: Range) -> Any:
     kind: Literal["log", "linear"] = "log" if span.log else "linear"
-    return alt.Scale(type=kind, domain=[span.low, span.high], nice=False, zero=False)
+    zero = alt.Undefined if kind == "log" else False  # Vega warns of any on a logarithmic scale
+    return alt.Scale(type=kind, domain=[span.low, span.high], nice=False, zero=zero)
 
 
 def _edge_text(base: Any, colour: str, on: Axes) -> list[Any]:

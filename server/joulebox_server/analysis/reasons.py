@@ -10,7 +10,7 @@ MAX_PAID = 4
 
 _QUALITY_WORDS = {
     "estimated": "The joules are estimated from another reading, not measured at the battery.",
-    "replayed": "The joules are replayed from a recorded discharge, not measured on this device: compare "
+    "replayed": "The joules are replayed from a trace, not measured on this device: compare "
     "settings by them, but do not take them as its consumption.",
     "time_only": "This device has no energy source, so time stands in for energy.",
 }

@@ -4,9 +4,28 @@ from typing import Annotated
 
 from fastapi import APIRouter, Path, Request, Response
 from fastapi.responses import FileResponse, JSONResponse
+from starlette.exceptions import HTTPException
+from starlette.types import Message, Receive, Scope, Send
 
 from joulebox_server.services import Anyone, ServicesOf, Writer
 from joulebox_server.store import blobs
+
+
+class BlobFile(FileResponse):
+    """A file, or the Range asked for; a Range that cannot be is told in the one shape of errors."""
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """As FileResponse, whose own refusals are plain text."""
+
+        async def checked(message: Message) -> None:
+            if message["type"] == "http.response.start" and message["status"] in (400, 416):
+                size = {"Content-Range": f"bytes */{self.headers['content-length']}"}
+                sentence = f"the Range must lie within the blob's {self.headers['content-length']} bytes, as bytes=0-99"
+                raise HTTPException(message["status"], sentence, size)
+            await send(message)
+
+        await super().__call__(scope, receive, checked)
+
 
 ShaPath = Annotated[str, Path(pattern=r"^[0-9a-f]{64}$")]
 FOREVER = "private, max-age=31536000, immutable"
@@ -16,11 +35,11 @@ router = APIRouter(tags=["blobs"])
 
 @router.head("/blobs/{sha256}", include_in_schema=False)
 @router.get("/blobs/{sha256}")
-def get_blob(services: ServicesOf, _: Anyone, sha256: ShaPath) -> FileResponse:
+def get_blob(services: ServicesOf, _: Anyone, sha256: ShaPath) -> BlobFile:
     """The bytes, whole or the Range asked for."""
     found = services.store.read(blobs.find, services.store.blob_dir, sha256)
     headers = {"ETag": f'"{sha256}"', "Cache-Control": FOREVER, "X-Content-Type-Options": "nosniff"}
-    return FileResponse(found, media_type="application/octet-stream", headers=headers)
+    return BlobFile(found, media_type="application/octet-stream", headers=headers)
 
 
 @router.put("/blobs/{sha256}", status_code=201)

@@ -16,7 +16,7 @@ from joulebox_server.store.database import Row
 
 PNG_MAGIC = b"\x89PNG"
 
-Exposure = Annotated[float, Query(gt=0, le=1e6)]
+Exposure = Annotated[float, Query(ge=1e-6, le=1e6)]
 Sha = Annotated[str, Query(pattern=r"^[0-9a-f]{64}$")]
 
 router = APIRouter(tags=["pictures"])

@@ -23,6 +23,7 @@ def _sensible(interval: Interval) -> Interval:
 
 
 Quantity = Annotated[Interval, AfterValidator(_sensible)]
+Count = Annotated[int, Field(ge=0, le=10**12)]
 Amount = Annotated[float, Field(ge=0, le=LARGEST)]
 Energy = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 NetQuantity = Annotated[Interval, AfterValidator(_ordered)]
@@ -44,14 +45,14 @@ class StageEnergy(Document):
 class Stage(Document):
     time_s: Amount
     cpu_s: Amount | None = None
-    rays: float | None = Field(default=None, ge=0)
+    rays: float | None = Field(default=None, ge=0, le=1e18)
     energy_j: StageEnergy = StageEnergy()
 
 
 class Window(Document):
     start_s: float
     time_s: Amount
-    images: int = Field(ge=0)
+    images: Count
     energy_j: Energy | None = None
     cpu_s: Amount | None = None
     stages_s: dict[str, Amount] = Field(default_factory=dict)
@@ -77,8 +78,8 @@ class MeasureDocument(Document):
     quality: Literal["measured", "estimated", "replayed", "none"]
     scope: str | None = None
     refresh_s: float | None = None
-    images: int = Field(ge=0)
-    windows: int = Field(ge=0)
+    images: Count
+    windows: Count
     window_s: Amount
     time_s_per_image: Quantity | None = None
     cpu_s_per_image: Quantity | None = None

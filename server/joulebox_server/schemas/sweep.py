@@ -6,6 +6,9 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from joulebox_server.schemas.base import Document, Name, Scalar
 
+LARGEST_SEED = 2**53
+"""Repeats, references and noise floors count on from a seed; beyond this browsers and databases lose digits."""
+
 
 class SceneEntry(Document):
     """A scene by its name, with values for its `<default>`s."""
@@ -90,6 +93,11 @@ class SweepDefinition(Document):
             raise ValueError('rule = "list" takes its settings from configurations; remove axes')
         if len({entry.label for entry in self.scenes}) != len(self.scenes):
             raise ValueError("scenes names one scene twice with the same defines")
+        given = [self.settings, self.reference.settings, *self.configurations]
+        seeds = [settings["seed"] for settings in given if "seed" in settings] + self.axes.get("seed", [])
+        for seed in seeds:
+            if type(seed) is not int or not 0 <= seed <= LARGEST_SEED:
+                raise ValueError(f"seed is {seed!r}, it must be a whole number from 0 to {LARGEST_SEED}")
         for axis, values in self.axes.items():
             if len({(type(value), value) for value in values}) != len(values):
                 raise ValueError(f"axes.{axis} holds a value twice")

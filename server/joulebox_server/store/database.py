@@ -1,16 +1,17 @@
-"""The SQLite database: one writer thread with group commit, read connections per thread."""
+"""The SQLite database: one writer thread with group commit, a read connection for every read under way."""
 
 import queue
 import sqlite3
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from sqlite_utils import Database
 
-from joulebox_server.errors import ConflictError, StorageFullError, UnavailableError
+from joulebox_server.errors import ConflictError, InvalidError, StorageFullError, UnavailableError
 from joulebox_server.store.migrations import migrations
 
 BUSY_TIMEOUT_MS = 5000
@@ -77,9 +78,10 @@ class Store:
         self._listeners: list[Callable[[], None]] = []
         self._queue: queue.SimpleQueue[_Write | None] = queue.SimpleQueue()
         self._closed = False
-        self._local = threading.local()
         self._lock = threading.Lock()
-        self._readers: list[Database] = []
+        self._read_ended = threading.Condition(self._lock)
+        self._reading = 0
+        self._idle_readers: list[Database] = []
         self._writer_db = self._prepared()
         self._writer = threading.Thread(target=self._write_loop, name="joulebox-store-writer", daemon=True)
         self._writer.start()
@@ -101,29 +103,32 @@ class Store:
         return write.future
 
     def read(self, function: Callable[Concatenate[Database, P], T], *args: P.args, **kwargs: P.kwargs) -> T:
-        """Run `function(db, ...)` on this thread's read-only connection, over one snapshot."""
-        db = self._reader()
-        db.conn.execute("BEGIN")
-        try:
-            return function(db, *args, **kwargs)
-        except sqlite3.Error as error:
-            raise _named(error) from error
-        finally:
-            db.conn.execute("ROLLBACK")
+        """Run `function(db, ...)` on a read-only connection that this thread has to itself, over one snapshot."""
+        with self._reader() as db:
+            db.conn.execute("BEGIN")
+            try:
+                return function(db, *args, **kwargs)
+            except sqlite3.Error as error:
+                raise _named(error) from error
+            finally:
+                db.conn.execute("ROLLBACK")
 
     def on_event(self, listener: Callable[[], None]) -> None:
         """Call `listener()` on the writer thread after every commit that added an event."""
         self._listeners.append(listener)
 
     def close(self) -> None:
-        """Finish the writes that wait, then close every connection."""
+        """Finish the writes that wait and the reads under way, then close every connection."""
         with self._lock:
             if self._closed:
                 return
             self._closed = True
             self._queue.put(None)
         self._writer.join()
-        for db in [*self._readers, self._writer_db]:
+        with self._read_ended:
+            # Closing a connection in the middle of its query ends the whole process with a segmentation fault.
+            self._read_ended.wait_for(lambda: self._reading == 0)
+        for db in [*self._idle_readers, self._writer_db]:
             db.conn.close()
 
     def _prepared(self) -> Database:
@@ -146,17 +151,25 @@ class Store:
         connection.execute("PRAGMA foreign_keys=ON")
         return Database(connection)
 
-    def _reader(self) -> Database:
-        db: Database | None = getattr(self._local, "db", None)
-        if db is None:
+    @contextmanager
+    def _reader(self) -> Iterator[Database]:
+        """A connection for one read. They are kept for the next: threads come and go, connections need not."""
+        with self._lock:
             if self._closed:
                 raise UnavailableError("the store is closed")
-            db = self._connect()
-            db.conn.execute("PRAGMA query_only=ON")
-            self._local.db = db
-            with self._lock:
-                self._readers.append(db)
-        return db
+            self._reading += 1
+            db = self._idle_readers.pop() if self._idle_readers else None
+        try:
+            if db is None:
+                db = self._connect()
+                db.conn.execute("PRAGMA query_only=ON")
+            yield db
+        finally:
+            with self._read_ended:
+                self._reading -= 1
+                if db is not None:
+                    self._idle_readers.append(db)
+                self._read_ended.notify_all()
 
     def _write_loop(self) -> None:
         while (first := self._queue.get()) is not None:
@@ -205,6 +218,8 @@ def _newest_event(db: Database) -> int:
 
 def _named(error: Exception) -> Exception:
     """SQLite's errors that a user can do something about, as ours; anything else as it is."""
+    if isinstance(error, OverflowError | UnicodeEncodeError):
+        return InvalidError(f"a value is too large or no text that can be stored: {error}")
     if isinstance(error, sqlite3.IntegrityError):
         return ConflictError(f"that contradicts what is stored ({error})")
     if isinstance(error, sqlite3.OperationalError):

@@ -8,6 +8,8 @@ from typing import Any
 
 from uuid6 import uuid7
 
+from joulebox_server.errors import InvalidError
+
 MICRO = 1_000_000
 
 
@@ -29,8 +31,16 @@ def timestamp(at_us: int | None) -> str | None:
 
 
 def canonical(value: Any) -> str:
-    """JSON text that is the same for equal values: keys sorted, no spaces, no NaN."""
-    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    """JSON text that is the same for equal values: keys sorted, no spaces.
+
+    Raises InvalidError for NaN, infinity and halves of a character (lone surrogates), which Python's JSON lets in.
+    """
+    try:
+        text = json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
+        text.encode()
+    except ValueError as error:
+        raise InvalidError(f"the document holds a value that JSON cannot: {error}") from None
+    return text
 
 
 def sha256_text(text: str) -> str:

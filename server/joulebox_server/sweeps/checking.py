@@ -11,6 +11,7 @@ from joulebox_server.errors import FieldError
 from joulebox_server.schemas.sweep import SweepDefinition
 
 PRESET = "preset"
+DEFINITIONS = ("$defs", "definitions")
 
 
 def schema_fault(schema: Mapping[str, Any]) -> str | None:
@@ -21,7 +22,22 @@ def schema_fault(schema: Mapping[str, Any]) -> str | None:
         return str(error.message)
     if not isinstance(schema.get("properties"), dict):
         return "it has no properties"
-    return None
+    known = {f"#/{key}/{name}" for key in DEFINITIONS for name in schema.get(key, {})}
+    lost = next((reference for reference in _references(schema) if reference not in known), None)
+    return None if lost is None else f"its reference {lost!r} leads to none of its definitions"
+
+
+def _references(part: Any) -> Iterator[Any]:
+    """Every `$ref` in a part of a schema; one that leads elsewhere would be fetched over the network."""
+    if isinstance(part, dict):
+        for key, inner in part.items():
+            if key in ("$ref", "$dynamicRef"):
+                yield inner
+            else:
+                yield from _references(inner)
+    elif isinstance(part, list):
+        for inner in part:
+            yield from _references(inner)
 
 
 def settings_errors(definition: SweepDefinition, schema: Mapping[str, Any]) -> list[FieldError]:
@@ -61,7 +77,7 @@ def _problem(schema: Mapping[str, Any], name: str, value: Any) -> str | None:
         hint = f"did you mean {nearest[0]!r}?" if nearest else f"known are {', '.join(sorted(properties))}"
         return f"the renderer has no setting {name!r}; {hint}"
     # Of a property alone, with the definitions that it may refer to.
-    alone = {**properties[name], **{key: schema[key] for key in ("$defs", "definitions") if key in schema}}
+    alone = {**properties[name], **{key: schema[key] for key in DEFINITIONS if key in schema}}
     error = best_match(Draft202012Validator(alone).iter_errors(value))
     return None if error is None else _sentence(_telling(error))
 

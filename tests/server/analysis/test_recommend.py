@@ -101,7 +101,7 @@ def test_close_calls_are_admitted():
 def test_replayed_and_noisy_references_are_said():
     replayed = recommend(small_sweep("replayed"), budget_j=23)
     assert replayed.energy_quality == "replayed"
-    assert any("replayed from a recorded discharge" in why for why in replayed.why)
+    assert any("replayed from a trace" in why for why in replayed.why)
     floor = NoiseFloor(value=12, share_of_limit=0.12, too_noisy=True)
     noisy = small_sweep().model_copy(update={"noise_floor": floor})
     assert any("too noisy to judge by" in why and "12 %" in why for why in recommend(noisy, budget_j=23).why)
