@@ -20,7 +20,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 SWEEP = "docs/demo-sweep.toml"
 SCENES = ("cornell-boxes", "cornell-spheres")
-SHARE = 0.5
+SHARE = 0.75
 """The budget that the demo asks about, as a share of what the reference costs."""
 REPLAY = "replay@0.1"
 """The scripted trace, played as a gauge that refreshes every 0.1 s, so that short windows resolve it."""
@@ -165,7 +165,7 @@ def show_the_whole(demo: Demo) -> None:
         demo.run("joulebox", "tradeoff", sweep, "--scene", scene, *at)
 
     say(f"The dashboard, while the demo runs: {url}")
-    say("The best settings for half of what the reference costs:")
+    say("The best settings for three quarters of what the reference costs:")
     for scene in SCENES:
         budget = share_of_the_reference(demo, sweep, scene, at)
         demo.run("joulebox", "recommend", sweep, "--scene", scene, *budget, *at)

@@ -5,6 +5,7 @@ import contextlib
 import json
 import logging
 import multiprocessing
+import os
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -19,6 +20,13 @@ log = logging.getLogger("joulebox.server")
 
 LOOK_AGAIN_S = 5.0
 """At most this long until a difference asked for by another process is noticed."""
+
+
+def _give_way() -> None:
+    """Lower a worker's priority, where the system can: an agent may be measuring on this very machine."""
+    if hasattr(os, "nice"):
+        os.nice(10)
+
 
 
 @dataclass(frozen=True)
@@ -156,7 +164,9 @@ class Comparer:
         if self._given is not None:
             return self._given
         if self._own is None:
-            self._own = ProcessPoolExecutor(self._workers, mp_context=multiprocessing.get_context("spawn"))
+            self._own = ProcessPoolExecutor(
+                self._workers, mp_context=multiprocessing.get_context("spawn"), initializer=_give_way
+            )
         return self._own
 
     def _keep(self, key: str, comparison: Comparison) -> None:
