@@ -2,7 +2,7 @@
 
 from joulebox_render.kernels.compilation import kernel
 from joulebox_render.kernels.rng import child_key, uniform
-from joulebox_render.kernels.surface import face_forward, surface_normals
+from joulebox_render.kernels.surface import surface_at_hit
 from joulebox_render.kernels.transport import glass_bounce, push_ray
 from joulebox_render.kernels.vector import cosine_direction, reflected, row3, set_row3
 
@@ -32,10 +32,7 @@ def scatter(tables, store_at_every_bounce, rays, history, hits, stored, followin
         if primitive < 0 or fx + fy + fz <= 0.0:
             continue
         dx, dy, dz = row3(rays.direction, i)
-        t = hits.distance[i]
-        px, py, pz = rays.origin[i, 0] + t * dx, rays.origin[i, 1] + t * dy, rays.origin[i, 2] + t * dz
-        gx, gy, gz, sx, sy, sz = surface_normals(tables, primitive, px, py, pz, hits.u[i], hits.v[i])
-        front, gx, gy, gz, sx, sy, sz = face_forward(gx, gy, gz, sx, sy, sz, dx, dy, dz)
+        front, px, py, pz, gx, gy, gz, sx, sy, sz = surface_at_hit(tables, rays, hits, i, primitive)
         material = tables.material[primitive]
         kind = tables.material_kind[material]
         key, number = rays.key[i], rays.owner[i]

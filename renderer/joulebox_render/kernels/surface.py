@@ -127,6 +127,18 @@ def face_forward(gx, gy, gz, sx, sy, sz, dx, dy, dz):
     return front, gx, gy, gz, sx, sy, sz
 
 
+@device
+def surface_at_hit(tables, rays, hits, i, primitive):
+    """What ray i met: 1 on the front or 0 on the back, the point, and both normals turned against the ray."""
+    dx, dy, dz = row3(rays.direction, i)
+    ox, oy, oz = row3(rays.origin, i)
+    t = hits.distance[i]
+    px, py, pz = ox + t * dx, oy + t * dy, oz + t * dz
+    gx, gy, gz, sx, sy, sz = surface_normals(tables, primitive, px, py, pz, hits.u[i], hits.v[i])
+    front, gx, gy, gz, sx, sy, sz = face_forward(gx, gy, gz, sx, sy, sz, dx, dy, dz)
+    return front, px, py, pz, gx, gy, gz, sx, sy, sz
+
+
 @kernel
 def merge_embree_hits(embree_distance, embree_primitive, distance, primitive, far):
     """Copy Embree's answer, turning its misses into distance `far` and primitive -1."""

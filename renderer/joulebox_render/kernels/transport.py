@@ -3,7 +3,7 @@
 
 from joulebox_render.kernels.compilation import device, kernel
 from joulebox_render.kernels.rng import child_key, path_key, sample_2d, uniform
-from joulebox_render.kernels.surface import face_forward, surface_normals
+from joulebox_render.kernels.surface import surface_at_hit
 from joulebox_render.kernels.vector import cosine_direction, fresnel, normalized, reflected, refracted, row3, set_row3
 
 DIFFUSE, MIRROR, GLASS = 0, 1, 2
@@ -59,6 +59,19 @@ def push_ray(rays, row, px, py, pz, dx, dy, dz, wx, wy, wz, owner, key):
 
 
 @device
+def push_point(points, row, px, py, pz, gx, gy, gz, sx, sy, sz, ax, ay, az, wx, wy, wz, owner, key, distance):
+    """Write one diffuse point into row `row`: position, geometric and shading normal, albedo, weight."""
+    set_row3(points.position, row, px, py, pz)
+    set_row3(points.geometric, row, gx, gy, gz)
+    set_row3(points.normal, row, sx, sy, sz)
+    set_row3(points.albedo, row, ax, ay, az)
+    set_row3(points.weight, row, wx, wy, wz)
+    points.owner[row] = owner
+    points.key[row] = key
+    points.distance[row] = distance
+
+
+@device
 def glass_bounce(tables, material, front, dx, dy, dz, gx, gy, gz, sx, sy, sz):
     """Both ways on from a smooth dielectric: (reflectance, reflected direction, refracted direction, eta)."""
     ior = tables.material_ior[material]
@@ -95,10 +108,7 @@ def advance(tables, split, emission, rays, hits, radiance, points, following):
         if primitive < 0:
             continue
         dx, dy, dz = row3(rays.direction, i)
-        t = hits.distance[i]
-        px, py, pz = rays.origin[i, 0] + t * dx, rays.origin[i, 1] + t * dy, rays.origin[i, 2] + t * dz
-        gx, gy, gz, sx, sy, sz = surface_normals(tables, primitive, px, py, pz, hits.u[i], hits.v[i])
-        front, gx, gy, gz, sx, sy, sz = face_forward(gx, gy, gz, sx, sy, sz, dx, dy, dz)
+        front, px, py, pz, gx, gy, gz, sx, sy, sz = surface_at_hit(tables, rays, hits, i, primitive)
         wx, wy, wz = row3(rays.weight, i)
         owner, key = rays.owner[i], rays.key[i]
         light = tables.light[primitive]
@@ -117,14 +127,10 @@ def advance(tables, split, emission, rays, hits, radiance, points, following):
                     continue
                 wx, wy, wz = wx * POINT_WEIGHT / weight, wy * POINT_WEIGHT / weight, wz * POINT_WEIGHT / weight
             if front or tables.material_two_sided[material]:
-                set_row3(points.position, point_count, px + ex, py + ey, pz + ez)
-                set_row3(points.normal, point_count, sx, sy, sz)
-                set_row3(points.geometric, point_count, gx, gy, gz)
-                set_row3(points.albedo, point_count, ax, ay, az)
-                set_row3(points.weight, point_count, wx, wy, wz)
-                points.owner[point_count] = owner
-                points.key[point_count] = key
-                points.distance[point_count] = t
+                push_point(
+                    points, point_count, px + ex, py + ey, pz + ez, gx, gy, gz, sx, sy, sz,
+                    ax, ay, az, wx, wy, wz, owner, key, hits.distance[i],
+                )  # fmt: skip
                 point_count += 1
         elif kind == MIRROR:
             if front or tables.material_two_sided[material]:
