@@ -28,7 +28,6 @@ def _give_way() -> None:
         os.nice(10)
 
 
-
 @dataclass(frozen=True)
 class Comparison:
     """A finished comparison: the document of `joulebox diff` and the delta image, or why there is none."""

@@ -1,74 +1,17 @@
 """A server in this process (TestClient), one on a real port (uvicorn), and devices for both."""
 
-import json
 import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import httpx2
 import pytest
 import uvicorn
-from fake_device import FakeDevice, scene_zip, sweep
 from joulebox_server.app import create_app
 from joulebox_server.settings import ServerSettings
-from joulebox_server.store import tokens
-from starlette.testclient import TestClient
-
-BASE_URL = "http://127.0.0.1"
-
-
-class Clock:
-    """Microseconds since 1970, ahead of the machine's by as much as a test wants."""
-
-    def __init__(self) -> None:
-        self.ahead_s = 0.0
-
-    def __call__(self) -> int:
-        return time.time_ns() // 1000 + round(self.ahead_s * 1e6)
-
-
-class Server:
-    """An app, a client of it, and shortcuts for what most tests begin with."""
-
-    def __init__(self, client: Any, app: Any, clock: Clock) -> None:
-        self.client, self.app, self.clock = client, app, clock
-        self.store = app.state.services.store
-        self.operator = self.token("operator")
-        self.viewer = self.token("viewer")
-
-    def token(self, role: str) -> dict[str, str]:
-        """Authorization header of a new token."""
-        return {"Authorization": f"Bearer {self.store.write(tokens.create, role, role)}"}
-
-    def add_scene(self, name: str = "box", content: bytes | None = None) -> Any:
-        return self.client.post(f"/v1/scenes?name={name}", content=content or scene_zip(), headers=self.operator).json()
-
-    def add_sweep(self, **changes: Any) -> dict[str, Any]:
-        answer = self.client.post("/v1/sweeps", json=sweep(**changes), headers=self.operator)
-        assert answer.status_code == 201, answer.text
-        return answer.json()
-
-    def device(self, name: str = "laptop", **changes: Any) -> FakeDevice:
-        return FakeDevice.enroll(self.client, self.operator, name, **changes)
-
-    def get(self, path: str, **params: Any) -> Any:
-        answer = self.client.get(f"/v1{path}", params=params)
-        assert answer.status_code == 200, answer.text
-        return answer.json()
-
-    def wait(self, sweep_id: str, *states: str) -> dict[str, Any]:
-        """The sweep once it is in one of the states."""
-        ends_s = time.monotonic() + 10
-        while time.monotonic() < ends_s:
-            found = self.get(f"/sweeps/{sweep_id}")
-            if found["state"] in states:
-                return found
-            time.sleep(0.02)
-        raise AssertionError(f"the sweep stays {found['state']}: {json.dumps(found['jobs'])}")
+from server_testing import BASE_URL, Clock, Server, serving
 
 
 @pytest.fixture(scope="session")
@@ -76,14 +19,6 @@ def executor() -> Iterator[ThreadPoolExecutor]:
     """Computes differences in this process: spawning one for each test would take seconds."""
     with ThreadPoolExecutor(1) as pool:
         yield pool
-
-
-@contextmanager
-def serving(data_dir: Path, executor: Any, **settings: Any) -> Iterator[Server]:
-    clock = Clock()
-    app = create_app(ServerSettings(data_dir=data_dir, **{"release_pause_s": 0, **settings}), executor, clock)
-    with TestClient(app, base_url=BASE_URL, raise_server_exceptions=False) as client:
-        yield Server(client, app, clock)
 
 
 @pytest.fixture

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import Server
 from fake_device import scene_zip, sha256
 from joulebox_server.store import Store, blobs, tokens, upkeep
+from server_testing import Server
 from test_errors import told
 
 CONTENT = bytes(range(256)) * 40

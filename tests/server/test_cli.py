@@ -13,10 +13,10 @@ from pathlib import Path
 
 import httpx2
 import pytest
-from conftest import Server
 from fake_device import FakeDevice
 from joulebox_server import cli
 from joulebox_server.cli.sweep_file import pack_scene
+from server_testing import Server
 
 SWEEP = """
 name = "from-file"

@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import Server
 from fake_device import contract, measure_document, picture, resolved
 from joulebox_server.analysis.documents import Recommendation, Tradeoff
 from joulebox_server.schemas.device import Capabilities, Lease
 from joulebox_server.schemas.measure import MeasureDocument
 from joulebox_server.schemas.sweep import SweepDefinition
+from server_testing import Server
 
 MODELS: dict[str, Any] = {
     "lease": Lease,

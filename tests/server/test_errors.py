@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import Server, serving
 from fake_device import capabilities, measure_document, scene_zip, sweep
+from server_testing import Server, serving
 
 NOBODY = {"Authorization": "Bearer jb_nobody"}
 ZEROS = "0" * 64

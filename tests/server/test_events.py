@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import httpx2
-from conftest import Server
+from server_testing import Server
 
 
 def lines_of(server: Server, ready: threading.Event | None = None, **options: Any) -> Iterator[dict[str, Any]]:

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from conftest import Server, serving
 from fake_device import FakeDevice, measure_document, picture, resolved
 from joulebox_server.schemas.sweep import SweepDefinition
 from joulebox_server.store import Store, blobs, devices, leases, planning, results, scenes
 from joulebox_server.store.database import number, rows
 from joulebox_server.store.leases import LeaseRules
+from server_testing import Server, serving
 
 RULES = LeaseRules(slack_s=300, release_pause_s=0, max_attempts=3)
 PAST_ANY_LEASE_S = 10_000.0

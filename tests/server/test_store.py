@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import Server, serving
 from fake_device import picture, resolved, scene_zip, sweep
 from joulebox_server.errors import ConflictError, NotFoundError, UnavailableError
 from joulebox_server.store import Store, devices, tokens
 from joulebox_server.store.database import number
+from server_testing import Server, serving
 
 
 @pytest.fixture

@@ -3,9 +3,9 @@
 import json
 
 import pytest
-from conftest import Server
 from fake_device import capabilities, measure_document, picture, sweep
 from joulebox_server.errors import InvalidError
+from server_testing import Server
 from test_errors import told
 
 

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import Server, serving
 from fake_device import picture, resolved, sha256
 from joulebox_server.analysis.difference import Display, compare
 from joulebox_server.analysis.images import read_picture
+from server_testing import Server, serving
 
 
 @pytest.fixture

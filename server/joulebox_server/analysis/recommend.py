@@ -7,6 +7,7 @@ difference); without one, the cheapest (smallest upper bound of the cost).
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from joulebox_server.analysis.documents import UNITS, Axis, Choice, Point, Recommendation, Tradeoff
 from joulebox_server.analysis.errors import AnalysisError
@@ -77,13 +78,7 @@ def recommend(
     best = _choice(tradeoff, fitting[0], terms)
     return Recommendation(
         answer="settings",
-        energy_quality=tradeoff.energy_quality,
-        scene=tradeoff.scene,
-        device=tradeoff.device,
-        confidence=tradeoff.confidence,
-        limit=terms.limit,
-        budget_j=terms.budget if terms.axis == "energy_j" else None,
-        budget_s=terms.budget if terms.axis == "time_s" else None,
+        **_question(tradeoff, terms),
         why=reasons(tradeoff, terms.axis, terms.budget, terms.limit, [c.point for c in fitting], len(candidates)),
         runner_up=_choice(tradeoff, fitting[1], terms) if len(fitting) > 1 else None,
         **best.model_dump(exclude={"misses"}),
@@ -137,18 +132,25 @@ def _candidates(tradeoff: Tradeoff, axis: Axis) -> list[Candidate]:
     return candidates
 
 
+def _question(tradeoff: Tradeoff, terms: Terms) -> dict[str, Any]:
+    """What was asked, as every answer repeats it."""
+    return {
+        "energy_quality": tradeoff.energy_quality,
+        "scene": tradeoff.scene,
+        "device": tradeoff.device,
+        "confidence": tradeoff.confidence,
+        "limit": terms.limit,
+        "budget_j": terms.budget if terms.axis == "energy_j" else None,
+        "budget_s": terms.budget if terms.axis == "time_s" else None,
+    }
+
+
 def _no_answer(tradeoff: Tradeoff, terms: Terms, candidates: Sequence[Candidate]) -> Recommendation:
     by_overshoot = sorted(candidates, key=lambda c: (terms.overshoot(c), c.point.configuration_id))
     nearest = [_choice(tradeoff, candidate, terms, _misses(candidate, terms)) for candidate in by_overshoot[:2]]
     return Recommendation(
         answer="none",
-        energy_quality=tradeoff.energy_quality,
-        scene=tradeoff.scene,
-        device=tradeoff.device,
-        confidence=tradeoff.confidence,
-        limit=terms.limit,
-        budget_j=terms.budget if terms.axis == "energy_j" else None,
-        budget_s=terms.budget if terms.axis == "time_s" else None,
+        **_question(tradeoff, terms),
         why=none_reasons(tradeoff, terms.axis, terms.budget, terms.limit, len(candidates)),
         nearest=nearest,
     )
