@@ -7,7 +7,7 @@ bands of the image so that memory does not grow with the resolution and an inter
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from joulebox_render.stages.context import Context
 from joulebox_render.stages.direct import light_directly
 from joulebox_render.stages.eye import look
 from joulebox_render.stages.gather import (
-    DensityEstimate,
+    Illumination,
     IrradianceRecords,
     caustic_estimate,
     final_gather,
@@ -27,6 +27,7 @@ from joulebox_render.stages.gather import (
     show_photons,
     trace_paths,
 )
+from joulebox_render.stages.irradiance_cache import IrradianceCache, cached_gather, fill_cache
 from joulebox_render.stages.photon_map import PhotonMap, build_photon_map, emit_and_store
 
 # Eye rays a band: enough work for many chunks a thread, in some tens of megabytes.
@@ -40,6 +41,7 @@ class Maps:
     global_map: PhotonMap | None
     caustic_map: PhotonMap | None
     irradiance: IrradianceRecords | None
+    cache: IrradianceCache | None = None
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,11 @@ def render_image(
     settings = context.settings
     assert settings.width and settings.height
     maps = make_maps(context, clock)
+    if context.plan.irradiance_cache:
+        with clock.stage("indirect", part="overture") as interval:
+            cache, rays = fill_cache(context, camera, illumination(context, maps))
+            interval.rays += rays
+        maps = replace(maps, cache=cache)
     pixel_count = settings.width * settings.height
     band = max(1, BAND_RAYS // settings.samples_per_pixel)
     pixels = np.empty((pixel_count, 3), np.float32)
@@ -128,9 +135,16 @@ def indirect_light(context: Context, maps: Maps, points: Points) -> tuple[F8, in
     """Indirect light at points by the method that the settings name, and the rays it took."""
     if maps.global_map is None:
         return trace_paths(context, points)
-    estimate: DensityEstimate = global_estimate(context, maps.global_map)
-    if context.settings.indirect == "final_gather":
-        return final_gather(context, estimate, maps.irradiance, points)
-    return show_photons(context, estimate, points), 0
+    if context.settings.indirect == "direct_visualization":
+        return show_photons(context, global_estimate(context, maps.global_map), points), 0
+    light = illumination(context, maps)
+    if maps.cache is not None:
+        return cached_gather(context, maps.cache, light, points)
+    return final_gather(context, light, points)
 
 
+def illumination(context: Context, maps: Maps) -> Illumination:
+    """What gather rays ask where they end."""
+    assert maps.global_map is not None
+    caustics = caustic_estimate(context, maps.caustic_map) if maps.caustic_map else None
+    return Illumination(global_estimate(context, maps.global_map), maps.irradiance, caustics)

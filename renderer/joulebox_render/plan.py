@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from joulebox_render.records import GLASS, MIRROR, Scene
+from joulebox_render.records import GLASS, MIRROR, PHONG, Scene
 from joulebox_render.settings import Settings
 
 
@@ -19,6 +19,8 @@ class Plan:
     precomputed_irradiance: bool
     caustic_map: bool
     specular_recursion: bool
+    glossy: bool
+    irradiance_cache: bool
     left_out: dict[str, str] = field(default_factory=dict)
     indirect: bool = True
 
@@ -38,7 +40,7 @@ class Plan:
 def make_plan(scene: Scene, settings: Settings, force_all: bool = False) -> Plan:
     """Derive the plan; `force_all` runs what the settings ask for even where the scene cannot show it."""
     used = set(scene.materials.kind[scene.material].tolist())
-    specular = force_all or bool(used & {MIRROR, GLASS})
+    specular = force_all or bool(used & {MIRROR, GLASS, PHONG})
     left_out: dict[str, str] = {}
 
     photon_method = settings.indirect in ("direct_visualization", "final_gather")
@@ -50,6 +52,13 @@ def make_plan(scene: Scene, settings: Settings, force_all: bool = False) -> Plan
             "photon_spacing=0 gathers photons at every look-up"
             if settings.indirect == "final_gather"
             else "nothing looks it up without final gathering"
+        )
+    cached = settings.indirect == "final_gather" and settings.irradiance_cache_tolerance > 0
+    if not cached:
+        left_out["irradiance_cache"] = (
+            "irradiance_cache_tolerance=0 gathers at every point"
+            if settings.indirect == "final_gather"
+            else "nothing uses it without final gathering"
         )
     caustics = _caustic_reason(settings, specular)
     if caustics:
@@ -65,6 +74,8 @@ def make_plan(scene: Scene, settings: Settings, force_all: bool = False) -> Plan
         precomputed_irradiance=precompute,
         caustic_map=not caustics,
         specular_recursion=specular,
+        glossy=force_all or PHONG in used,
+        irradiance_cache=cached,
         left_out=left_out,
         indirect=settings.indirect != "none",
     )

@@ -113,10 +113,9 @@ class Session:
                 f"{self.settings.width}x{self.settings.height}; lower global_photons or samples_per_pixel"
             ) from None
         cpu_s, end = time.process_time() - cpu_start, time.perf_counter_ns()
-        records = rendering.maps.irradiance
         return Image(
             rendering.pixels, start, end, cpu_s, clock, photon_counts(rendering),
-            len(records.irradiance) if records else 0, photon_notes(rendering),
+            irradiance_record_count(rendering), photon_notes(rendering),
         )  # fmt: skip
 
     def stop(self) -> None:
@@ -174,6 +173,13 @@ def photon_counts(rendering: Rendering) -> dict[str, int]:
         counts[f"{name}_emitted"] = photons.emitted if photons else 0
     counts["direct_stored"] = 0  # no photons are kept for the shadow test
     return counts
+
+
+def irradiance_record_count(rendering: Rendering) -> int:
+    """Records of the irradiance cache, or, without one, of precomputed irradiance."""
+    if rendering.maps.cache is not None:
+        return len(rendering.maps.cache.records.radius)
+    return len(rendering.maps.irradiance.irradiance) if rendering.maps.irradiance else 0
 
 
 def photon_notes(rendering: Rendering) -> list[str]:

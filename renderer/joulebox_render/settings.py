@@ -30,13 +30,20 @@ class Settings(BaseModel):
 
     global_photons: int = Field(100_000, ge=1, le=50_000_000, description="photons stored in the global map")
     caustic_photons: int = Field(50_000, ge=0, le=50_000_000, description="photons stored in the caustic map")
+    direct_photons: int = Field(
+        10_000, ge=0, le=50_000_000,
+        description="photons kept where they first hit, with the shadow photons behind them, for use_shadow_photons",
+    )  # fmt: skip
     max_photon_bounces: int = Field(64, ge=0, le=1000, description="a photon is dropped after this many bounces")
     store_at_every_bounce: bool = Field(
         True, description="store photons at every diffuse bounce; false: only where they are absorbed"
     )
 
     shadow_rays: int = Field(36, ge=1, le=16384, description="shadow rays to each area light, from every point")
-    max_depth: int = Field(12, ge=0, le=100, description="mirror and glass bounces in a row")
+    use_shadow_photons: bool = Field(
+        False, description="save shadow rays where direct and shadow photons agree that a light is seen or hidden"
+    )
+    max_depth: int = Field(12, ge=0, le=100, description="mirror, glass and glossy bounces in a row")
 
     indirect: Literal["none", "direct_visualization", "final_gather", "path"] = Field(
         "final_gather", description="how light that bounced off diffuse surfaces is found"
@@ -53,15 +60,27 @@ class Settings(BaseModel):
         4, ge=0, le=1_000_000, description="precompute irradiance at every nth photon; 0: estimate it at every look-up"
     )
     final_gather_rays: int = Field(64, ge=1, le=16384, description="rays of a final gather")
+    importance_sampling: bool = Field(
+        False, description="send gather rays where the global map says that light comes from"
+    )
+    irradiance_cache_tolerance: float = Field(
+        0.0, ge=0, le=10, description="error allowed in reusing a final gather nearby (Ward); 0: gather at every point"
+    )
+    irradiance_gradients: bool = Field(
+        True, description="interpolate cached irradiance with its rotation and translation gradients"
+    )
 
     caustics: bool = Field(True, description="show caustics from a photon map of their own")
     caustic_gather_count: int = Field(100, ge=2, le=100_000, description="photons in a caustic estimate, at most")
     caustic_gather_distance_m: float = Field(
         0.01, gt=0, le=1e6, description="[m] caustic photons farther away do not count"
     )
+    caustic_hints: bool = Field(
+        False, description="aim the caustic map's photons at mirrors, glass and glossy surfaces"
+    )
 
-    sampler: Literal["independent", "stratified"] = Field(
-        "stratified", description="how samples of a pixel, a light and a hemisphere are placed"
+    sampler: Literal["independent", "stratified", "sobol"] = Field(
+        "stratified", description="how samples of a pixel, a light, a hemisphere and (sobol) the photons are placed"
     )
 
     @field_validator("*", mode="before")

@@ -6,14 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from joulebox_render.records import F4, F8, I4, MESH_LIGHT, U1, Scene
+from joulebox_render.records import ENVIRONMENT, F4, F8, I4, MESH_LIGHT, U1, Scene
 
 
 class SceneTables(NamedTuple):
     """Arrays of `records.Scene`, `Materials` (material_*) and `Lights` (light_*), with what is derived from them.
 
-    light_choice   (L,) f8  cumulative probability of emitting a photon from each light, by power
     mesh_area      (T,) f8  cumulative share of a mesh light's area up to each triangle, 0 elsewhere
+    sky            (3,) f4  radiance of the environment, black where there is none
     epsilon        (1,) f8  distance by which ray origins leave a surface [m]
     """
 
@@ -29,6 +29,8 @@ class SceneTables(NamedTuple):
     light: I4
     material_kind: I4
     material_albedo: F4
+    material_glossy: F4
+    material_exponent: F4
     material_ior: F4
     material_two_sided: U1
     light_kind: I4
@@ -43,8 +45,8 @@ class SceneTables(NamedTuple):
     light_triangle_first: I4
     light_triangle_count: I4
     light_power: F4
-    light_choice: F8
     mesh_area: F8
+    sky: F4
     epsilon: F8
 
 
@@ -64,8 +66,6 @@ def bounding_radius(scene: Scene) -> float:
 def scene_tables(scene: Scene) -> SceneTables:
     """Flatten a scene for the kernels."""
     materials, lights = scene.materials, scene.lights
-    power = lights.power.astype(np.float64).mean(axis=1)
-    choice = np.cumsum(power) / power.sum() if power.sum() > 0 else np.zeros(len(power))
     corners = scene.vertices[scene.triangles].astype(np.float64).reshape(-1, 3, 3)
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     share = np.zeros(len(area))
@@ -77,7 +77,7 @@ def scene_tables(scene: Scene) -> SceneTables:
         **{name: np.ascontiguousarray(getattr(scene, name)) for name in SceneTables._fields[:10]},
         **{f"material_{name}": np.ascontiguousarray(column) for name, column in vars(materials).items()},
         **{f"light_{name}": np.ascontiguousarray(column) for name, column in vars(lights).items()},
-        light_choice=np.ascontiguousarray(choice, dtype=np.float64),
         mesh_area=share,
+        sky=lights.radiance[lights.kind == ENVIRONMENT].sum(axis=0, dtype=np.float32),
         epsilon=np.array([1e-5 * bounding_radius(scene)]),
     )

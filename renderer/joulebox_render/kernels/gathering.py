@@ -6,11 +6,14 @@ import numpy as np
 
 from joulebox_render.kernels.compilation import device, kernel
 from joulebox_render.kernels.kdtree import nearest_points
+from joulebox_render.kernels.rng import child_key, uniform
 from joulebox_render.kernels.vector import row3, set_row3
 
 CONSTANT, CONE, EPANECHNIKOV = 0, 1, 2
 # Jensen's cone filter falls to 1 - 1 / CONE_STEEPNESS at the edge of the disc.
 CONE_STEEPNESS = 1.1
+# Dimension of the number that decides which gather rays are short.
+SHORT_DIMENSION = 9
 
 
 @device
@@ -84,6 +87,35 @@ def reflect_irradiance(points, irradiance, radiance):
         owner = points.owner[q]
         for c in range(3):
             radiance[owner, c] += points.weight[q, c] * points.albedo[q, c] * irradiance[q, c] / math.pi
+
+
+@kernel
+def mark_short(points, resolution, is_near):
+    """Mark points (N,) u1/bool whose last ray was shorter than about `resolution` [m].
+
+    The limit varies from 0.5 to 1.5 of it by chance, so that no line shows where the method changes.
+    """
+    for q in range(points.owner.shape[0]):
+        limit = resolution * (0.5 + uniform(child_key(points.key[q], points.sample[q]), SHORT_DIMENSION))
+        is_near[q] = points.distance[q] < limit
+
+
+@kernel
+def reflect_mean(points, first, last, count, incident, radiance):
+    """Radiance that points [first, last) reflect of `count` cosine-distributed gather rays each.
+
+    incident (rays, 3) f8; radiance (last - first, 3) f8 is overwritten with albedo x mean.
+    """
+    row = 0
+    for q in range(last - first):
+        red, green, blue = 0.0, 0.0, 0.0
+        for _ in range(count):
+            red += incident[row, 0]
+            green += incident[row, 1]
+            blue += incident[row, 2]
+            row += 1
+        ax, ay, az = row3(points.albedo, first + q)
+        set_row3(radiance, q, ax * red / count, ay * green / count, az * blue / count)
 
 
 @kernel

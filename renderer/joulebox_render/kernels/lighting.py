@@ -5,11 +5,15 @@ import math
 import numpy as np
 
 from joulebox_render.kernels.compilation import device, kernel
-from joulebox_render.kernels.rng import child_key, path_key, sample_2d, uniform
+from joulebox_render.kernels.rng import child_key, draw_1d, draw_2d, sample_2d
 from joulebox_render.kernels.vector import cosine_direction, from_frame, row3, set_row3
 
-POINT_LIGHT, SPOT_LIGHT, RECTANGLE_LIGHT, DISK_LIGHT, SPHERE_LIGHT, MESH_LIGHT = 0, 1, 2, 3, 4, 5
-EMISSION_STREAM = 2
+POINT_LIGHT, SPOT_LIGHT, RECTANGLE_LIGHT, DISK_LIGHT, SPHERE_LIGHT, MESH_LIGHT, ENVIRONMENT = 0, 1, 2, 3, 4, 5, 6
+LIGHT_BRANCH = 1000
+# How far away the environment is taken to be [m].
+SKY_DISTANCE = 1e30
+# Directions of emission that photons can be aimed at: cells of equal probability.
+AIM_ROWS, AIM_COLUMNS = 32, 64
 
 
 @device
@@ -154,10 +158,14 @@ def shadow_rays(tables, light, count, columns, points, first, last, origin, dire
         px, py, pz = row3(points.position, row)
         nx, ny, nz = row3(points.normal, row)
         gx, gy, gz = row3(points.geometric, row)
-        key = child_key(points.key[row], 1000 + light)
+        key, sample = child_key(points.key[row], LIGHT_BRANCH + light), points.sample[row]
         for i in range(count):
-            u, v = sample_2d(key, 1, i, count, columns)
-            dx, dy, dz, distance, scale = light_sample(tables, light, px, py, pz, u, v)
+            u, v = sample_2d(key, sample, 1, i, count, columns)
+            if tables.light_kind[light] == ENVIRONMENT:
+                dx, dy, dz = cosine_direction(nx, ny, nz, u, v)
+                distance, scale = SKY_DISTANCE, math.pi / max(1e-6, dx * nx + dy * ny + dz * nz)
+            else:
+                dx, dy, dz, distance, scale = light_sample(tables, light, px, py, pz, u, v)
             cos_point = dx * nx + dy * ny + dz * nz
             if scale <= 0.0 or cos_point <= 0.0 or dx * gx + dy * gy + dz * gz <= 0.0:
                 continue
@@ -182,60 +190,89 @@ def add_unblocked(blocked, value, owner, radiance):
 
 
 @device
-def emitted_direction(tables, light, nx, ny, nz, u, v):
-    """Direction of a photon and its flux relative to the light's: cosine for surfaces, uniform for a point."""
+def sphere_direction(u, v):
+    """Uniform direction."""
+    z = 1.0 - 2.0 * u
+    r = math.sqrt(max(0.0, 1.0 - z * z))
+    return r * math.cos(2.0 * math.pi * v), r * math.sin(2.0 * math.pi * v), z
+
+
+@device
+def emitted_ray(tables, light, a, b, u, v):
+    """Where and how one photon leaves a light: (origin, direction, chance that it is emitted at all).
+
+    a, b place the origin; u, v choose the direction alone: from a sphere and from the environment it is uniform, and
+    the origin follows it; from flat lights it has the cosine density about the normal. A spot's directions are uniform
+    in its cone, and its falloff is the chance. Source: Jensen 2001, section 5.1.
+    """
+    epsilon = tables.epsilon[0]
     kind = tables.light_kind[light]
-    if kind == POINT_LIGHT:
-        z = 1.0 - 2.0 * u
-        r = math.sqrt(max(0.0, 1.0 - z * z))
-        return r * math.cos(2.0 * math.pi * v), r * math.sin(2.0 * math.pi * v), z, 1.0
+    px, py, pz = row3(tables.light_position, light)
+    nx, ny, nz = row3(tables.light_normal, light)
     if kind == SPOT_LIGHT:
         beam, cutoff = cone_cosines(tables, light)
         z = 1.0 - u * (1.0 - cutoff)
         r = math.sqrt(max(0.0, 1.0 - z * z))
-        ax, ay, az = row3(tables.light_normal, light)
-        dx, dy, dz = from_frame(ax, ay, az, r * math.cos(2.0 * math.pi * v), r * math.sin(2.0 * math.pi * v), z)
-        return dx, dy, dz, spot_falloff(z, beam, cutoff)
+        dx, dy, dz = from_frame(nx, ny, nz, r * math.cos(2.0 * math.pi * v), r * math.sin(2.0 * math.pi * v), z)
+        return px, py, pz, dx, dy, dz, spot_falloff(z, beam, cutoff)
+    if kind in (POINT_LIGHT, SPHERE_LIGHT, ENVIRONMENT):
+        dx, dy, dz = sphere_direction(u, v)
+        radius = tables.light_radius[light]
+        if kind == SPHERE_LIGHT:
+            side = nx
+            nx, ny, nz = cosine_direction(dx, dy, dz, a, b)
+            px, py, pz = px + side * radius * nx, py + side * radius * ny, pz + side * radius * nz
+            return px + epsilon * nx, py + epsilon * ny, pz + epsilon * nz, dx, dy, dz, 1.0
+        if kind == ENVIRONMENT:
+            r = math.sqrt(a)
+            x, y, z = from_frame(dx, dy, dz, r * math.cos(2.0 * math.pi * b), r * math.sin(2.0 * math.pi * b), -1.0)
+            px, py, pz = px + radius * x, py + radius * y, pz + radius * z
+        return px, py, pz, dx, dy, dz, 1.0
+    px, py, pz, nx, ny, nz = light_point(tables, light, a, b)
     dx, dy, dz = cosine_direction(nx, ny, nz, u, v)
-    return dx, dy, dz, 1.0
+    return px + epsilon * nx, py + epsilon * ny, pz + epsilon * nz, dx, dy, dz, 1.0
+
+
+@device
+def drawn_flux(tables, light):
+    """Flux of the rays drawn over the flux that leaves the light: above 1 for a spot, whose falloff loses some."""
+    if tables.light_kind[light] != SPOT_LIGHT:
+        return 1.0
+    cos_beam, cos_cutoff = cone_cosines(tables, light)
+    beam, cutoff = math.acos(cos_beam), math.acos(cos_cutoff)
+    mean = cos_cutoff if beam == cutoff else (math.sin(cutoff) - math.sin(beam)) / (cutoff - beam)
+    return (1.0 - cos_cutoff) / (1.0 - mean)
 
 
 @kernel
-def emit_photons(tables, seed, first, origin, direction, flux, key):
-    """Emit photons number first, first + 1, ...: lights are chosen in proportion to power.
+def emit_photons(tables, aim, sobol, family, first, rays):
+    """Emit photons number first, first + 1, ...: lights are chosen in proportion to the power they send on aimed paths.
 
-    origin, direction, flux (N, 3) f4 are overwritten; flux [W] is yet to be divided by the number emitted.
-    A spot light's photons are drawn uniformly in its cone and weighted by its falloff; all others carry equal
-    power. Source: Jensen 2001, section 5.1.
+    rays is overwritten; weight is flux [W], yet to be divided by the number emitted, equal for all photons of a
+    light; 0 for one that a spot's falloff swallows. Where `aim` lists cells of a light's directions, only these are
+    drawn, and the flux is their share of the light's.
     """
-    epsilon = tables.epsilon[0]
     light_count = tables.light_kind.shape[0]
-    for i in range(origin.shape[0]):
-        photon_key = path_key(seed, EMISSION_STREAM, first + i)
-        key[i] = photon_key
-        u = uniform(photon_key, 0)
+    for i in range(rays.sample.shape[0]):
+        number = first + i
+        choice = draw_1d(sobol, family, number, 0)
         light = 0
-        while light < light_count - 1 and u >= tables.light_choice[light]:
+        while light < light_count - 1 and choice >= aim.choice[light]:
             light += 1
-        chance = tables.light_choice[light] - (tables.light_choice[light - 1] if light > 0 else 0.0)
-        kind = tables.light_kind[light]
-        if kind in (POINT_LIGHT, SPOT_LIGHT):
-            px, py, pz = row3(tables.light_position, light)
-            nx, ny, nz = 0.0, 0.0, 0.0
-        else:
-            px, py, pz, nx, ny, nz = light_point(
-                tables, light, uniform(photon_key, 1), uniform(photon_key, 2)
-            )
-        dx, dy, dz, share = emitted_direction(
-            tables, light, nx, ny, nz, uniform(photon_key, 3), uniform(photon_key, 4)
-        )
-        if kind == SPOT_LIGHT:
-            # light_power is what the spot emits; the cone's solid angle times full intensity is what is drawn.
-            solid_angle = 2.0 * math.pi * (1.0 - tables.light_cone_cos[light, 1])
-            for c in range(3):
-                flux[i, c] = tables.light_radiance[light, c] * solid_angle * share / chance
-        else:
-            for c in range(3):
-                flux[i, c] = tables.light_power[light, c] / chance
-        set_row3(origin, i, px + epsilon * nx, py + epsilon * ny, pz + epsilon * nz)
-        set_row3(direction, i, dx, dy, dz)
+        chance = aim.choice[light] - (aim.choice[light - 1] if light > 0 else 0.0)
+        a, b = draw_2d(sobol, family, number, 1)
+        u, v = draw_2d(sobol, family, number, 3)
+        cells = aim.first[light + 1] - aim.first[light]
+        if cells > 0:
+            place = min(np.int64(u * cells), cells - 1)
+            cell = aim.cell[aim.first[light] + place]
+            u, v = (cell // AIM_COLUMNS + (u * cells - place)) / AIM_ROWS, (cell % AIM_COLUMNS + v) / AIM_COLUMNS
+        px, py, pz, dx, dy, dz, leaves = emitted_ray(tables, light, a, b, u, v)
+        share = drawn_flux(tables, light) * aim.share[light] / chance
+        if leaves < 1.0 and draw_1d(sobol, family, number, 5) >= leaves:
+            share = 0.0
+        fx, fy, fz = row3(tables.light_power, light)
+        set_row3(rays.origin, i, px, py, pz)
+        set_row3(rays.direction, i, dx, dy, dz)
+        set_row3(rays.weight, i, fx * share, fy * share, fz * share)
+        rays.owner[i], rays.key[i], rays.sample[i] = 0, family, number

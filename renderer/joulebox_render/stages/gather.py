@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -11,8 +12,10 @@ import numpy as np
 from joulebox_render.kernels.gathering import (
     add_weighted,
     estimate_irradiance,
+    mark_short,
     nearest_irradiance,
     reflect_irradiance,
+    reflect_mean,
 )
 from joulebox_render.kernels.transport import continue_paths, gather_rays
 from joulebox_render.records import F4, F8, Points, Rays, Scratch, Tree, rows
@@ -26,6 +29,8 @@ FILTERS = {"constant": 0, "cone": 1, "epanechnikov": 2}
 RAYS_PER_ESTIMATE = 16
 # No path is followed through more diffuse bounces; Russian roulette ends nearly all long before.
 MAX_PATH_BOUNCES = 1000
+# A gather ray's stretches shorter than the photon map's resolution that are gathered again before it is asked.
+MOST_SHORT = 3
 
 
 class IrradianceRecords(NamedTuple):
@@ -77,6 +82,33 @@ def caustic_estimate(context: Context, photons: PhotonMap) -> DensityEstimate:
     )  # fmt: skip
 
 
+@dataclass(frozen=True)
+class Illumination:
+    """What a gather ray asks where it ends.
+
+    resolution_m is the distance below which the photon map cannot tell places apart [m].
+    """
+
+    estimate: DensityEstimate
+    records: IrradianceRecords | None
+    caustics: DensityEstimate | None
+
+    @property
+    def resolution_m(self) -> float:
+        return self.estimate.reach_m
+
+    def look_up(self, points: Points) -> F4:
+        """Irradiance (N, 3) f4: the nearest record, or a density estimate where none are kept."""
+        if self.records is None:
+            return self.estimate(points.position, points.normal)
+        irradiance = np.empty((len(points.owner), 3), np.float32)
+        nearest_irradiance(
+            self.records.tree, self.records.irradiance, points.position, points.normal,
+            self.records.reach_m, self.estimate.cos_limit, Scratch.empty(1), irradiance,
+        )  # fmt: skip
+        return irradiance
+
+
 def precompute_irradiance(context: Context, photons: PhotonMap) -> IrradianceRecords:
     """Irradiance at every nth photon of the global map, n = photon_spacing (Christensen 1999)."""
     step = context.settings.photon_spacing
@@ -104,39 +136,66 @@ def show_photons(context: Context, estimate: DensityEstimate, points: Points) ->
     return np.concatenate(parts) if parts else np.zeros((0, 3))
 
 
-def final_gather(
-    context: Context, estimate: DensityEstimate, records: IrradianceRecords | None, points: Points
-) -> tuple[F8, int]:
-    """Radiance (points, 3) f8 that points reflect of light that comes from other surfaces, and the rays traced.
-
-    Light that surfaces emit towards a point is left out: it is sampled directly, or, where it comes through
-    mirrors and glass, shown by the caustic map; without a caustic map gather rays find it.
-    """
+def final_gather(context: Context, light: Illumination, points: Points) -> tuple[F8, int]:
+    """Radiance (points, 3) f8 that points reflect of light that comes from other surfaces, and the rays traced."""
     count = context.settings.final_gather_rays
-    columns = context.columns(count)
 
     def chunk(first: int, last: int) -> tuple[F8, int]:
-        radiance = np.zeros((last - first, 3))
         rays = Rays.empty((last - first) * count)
-        gather_rays(points, first, last, count, columns, rays)
-        reached, traced = follow_to_diffuse(
-            context, rays, radiance, split=False, first_emission=False,
-            specular_emission=not context.plan.caustic_map,
-        )  # fmt: skip
-        for far in reached:
-            reflect_irradiance(far, _look_up(estimate, records, far), radiance)
+        gather_rays(points, first, last, count, context.columns(count), rays)
+        incident, _, traced = incident_radiance(context, light, rays)
+        radiance = np.empty((last - first, 3))
+        reflect_mean(points, first, last, count, incident, radiance)
         return radiance, traced
 
-    chunks = list(context.pool.map_chunks(chunk, len(points.owner), count))
-    radiance = np.concatenate([part for part, _ in chunks]) if chunks else np.zeros((0, 3))
-    return radiance, sum(traced for _, traced in chunks)
+    return collect(context.pool.map_chunks(chunk, len(points.owner), count))
+
+
+def incident_radiance(context: Context, light: Illumination, rays: Rays) -> tuple[F8, F4, int]:
+    """Radiance that comes in along gather rays, (N, 3) f8, the distance it comes from (N,) f4 [m], and rays traced.
+
+    Light that surfaces emit towards the rays' origins is left out: it is sampled directly, or, where it comes through
+    mirrors and glass, shown by the caustic map; without a caustic map gather rays find it. Where a ray ends
+    nearer than the photon map can tell apart (corners, contacts) the map is not asked about that place but about
+    what lights it: a second gather of one ray, with direct light sampled (LuxCore's and Jensen's remedy, 2001,
+    section 8.4); after MOST_SHORT such stretches it is asked all the same.
+    """
+    radiance = np.zeros((len(rays.owner), 3))
+    emission = not context.plan.caustic_map
+    reached, distance, traced = follow_to_diffuse(
+        context, rays, radiance, split=False, first_emission=False, specular_emission=emission
+    )
+    for _ in range(MOST_SHORT):
+        if not reached:
+            break
+        is_near = np.empty(len(reached[0].owner), np.bool_)
+        mark_short(reached[0], light.resolution_m, is_near)
+        near = Points(*rows(reached[0], is_near))
+        if not len(near.owner):
+            break
+        for far in (Points(*rows(reached[0], ~is_near)), *reached[1:]):
+            reflect_irradiance(far, light.look_up(far), radiance)
+        lit, shadow = sample_lights(context, near, 0, len(near.owner), 1)
+        add_weighted(near, lit, radiance)
+        if light.caustics is not None:
+            reflect_irradiance(near, light.caustics(near.position, near.normal), radiance)
+        onward = Rays.empty(len(near.owner))
+        count = continue_paths(near, context.sobol, 0, onward)
+        reached, _, through = follow_to_diffuse(
+            context, Rays(*rows(onward, slice(0, count))), radiance,
+            split=False, first_emission=False, specular_emission=emission,
+        )  # fmt: skip
+        traced += shadow + through
+    for far in reached:
+        reflect_irradiance(far, light.look_up(far), radiance)
+    return radiance, distance, traced
 
 
 def trace_paths(context: Context, points: Points) -> tuple[F8, int]:
     """Radiance (points, 3) f8 of all light that bounced, one unbiased path a point, and the rays traced.
 
-    Next-event estimation at every diffuse point; emission counts where a path found it through specular
-    surfaces, which next-event estimation cannot. Russian roulette after two bounces.
+    Next-event estimation at every diffuse point; emission counts where a path found it through specular and
+    glossy surfaces, which next-event estimation cannot. Russian roulette after two bounces.
     """
 
     def chunk(first: int, last: int) -> tuple[F8, int]:
@@ -148,10 +207,10 @@ def trace_paths(context: Context, points: Points) -> tuple[F8, int]:
         traced = 0
         for bounce in range(MAX_PATH_BOUNCES):
             rays = Rays.empty(len(here.owner))
-            going_on = continue_paths(here, bounce, rays)
+            going_on = continue_paths(here, context.sobol, bounce, rays)
             if going_on == 0:
                 break
-            reached, through = follow_to_diffuse(
+            reached, _, through = follow_to_diffuse(
                 context, Rays(*rows(rays, slice(0, going_on))), radiance, split=False,
                 first_emission=False, specular_emission=True,
             )  # fmt: skip
@@ -161,18 +220,10 @@ def trace_paths(context: Context, points: Points) -> tuple[F8, int]:
             traced += through + shadow
         return radiance, traced
 
-    chunks = list(context.pool.map_chunks(chunk, len(points.owner), 8))
-    radiance = np.concatenate([part for part, _ in chunks]) if chunks else np.zeros((0, 3))
-    return radiance, sum(traced for _, traced in chunks)
+    return collect(context.pool.map_chunks(chunk, len(points.owner), 8))
 
 
-def _look_up(estimate: DensityEstimate, records: IrradianceRecords | None, points: Points) -> F4:
-    """Irradiance where gather rays ended: the nearest record, or a density estimate where none are kept."""
-    if records is None:
-        return estimate(points.position, points.normal)
-    irradiance = np.empty((len(points.owner), 3), np.float32)
-    nearest_irradiance(
-        records.tree, records.irradiance, points.position, points.normal,
-        records.reach_m, estimate.cos_limit, Scratch.empty(1), irradiance,
-    )  # fmt: skip
-    return irradiance
+def collect(chunks: Iterable[tuple[F8, int]]) -> tuple[F8, int]:
+    """Radiance of all chunks in order, and the sum of their rays."""
+    parts = list(chunks)
+    return np.concatenate([np.zeros((0, 3)), *(part for part, _ in parts)]), sum(traced for _, traced in parts)
