@@ -120,7 +120,8 @@ def _constant(properties: Properties) -> Light:
 def surround(light: Light, corners: F8) -> Light:
     """The environment around a scene, its ball that of the bounding box with corners (2, 3)."""
     radius = 0.5 * float(np.linalg.norm(corners[1] - corners[0])) * 1.0001
-    return replace(light, position=corners.mean(axis=0), radius=radius, power=4.0 * (math.pi * radius)**2 * light.radiance)
+    power = 4.0 * (math.pi * radius) ** 2 * light.radiance
+    return replace(light, position=corners.mean(axis=0), radius=radius, power=power)
 
 
 def _spot(properties: Properties) -> Light:

@@ -6,7 +6,7 @@ import numpy as np
 
 from joulebox_render.kernels.compilation import device, kernel
 from joulebox_render.kernels.kdtree import nearest_points
-from joulebox_render.kernels.rng import child_key, uniform
+from joulebox_render.kernels.rng import member_key, uniform
 from joulebox_render.kernels.vector import row3, set_row3
 
 CONSTANT, CONE, EPANECHNIKOV = 0, 1, 2
@@ -96,7 +96,7 @@ def mark_short(points, resolution, is_near):
     The limit varies from 0.5 to 1.5 of it by chance, so that no line shows where the method changes.
     """
     for q in range(points.owner.shape[0]):
-        limit = resolution * (0.5 + uniform(child_key(points.key[q], points.sample[q]), SHORT_DIMENSION))
+        limit = resolution * (0.5 + uniform(member_key(points.key[q], points.sample[q]), SHORT_DIMENSION))
         is_near[q] = points.distance[q] < limit
 
 

@@ -275,4 +275,5 @@ def emit_photons(tables, aim, sobol, family, first, rays):
         set_row3(rays.origin, i, px, py, pz)
         set_row3(rays.direction, i, dx, dy, dz)
         set_row3(rays.weight, i, fx * share, fy * share, fz * share)
-        rays.owner[i], rays.key[i], rays.sample[i] = 0, family, number
+        # A family of its own: the first bounce must not use the numbers that placed the photon on its light.
+        rays.owner[i], rays.key[i], rays.sample[i] = 0, child_key(family, 0), number

@@ -40,8 +40,14 @@ def path_key(seed, stream, index):
 
 
 @device
+def member_key(key, sample):
+    """Key of one path of a family, under which its independent numbers are hashed."""
+    return mix(key + (np.uint64(sample) + _ONE) * _MIX_2)
+
+
+@device
 def child_key(key, branch):
-    """Key of branch number `branch` of a path."""
+    """Key of the family of branches number `branch` of a family of paths."""
     return mix(key + (np.uint64(branch) + _ONE) * _MIX_1)
 
 
@@ -108,7 +114,7 @@ def draw_1d(sobol, key, sample, dimension):
     """One number of a path in [0, 1): from a sequence over its family where `sobol`, else independent."""
     if sobol:
         return sobol_2d(child_key(key, dimension), sample)[0]
-    return uniform(child_key(key, sample), dimension)
+    return uniform(member_key(key, sample), dimension)
 
 
 @device
@@ -116,7 +122,7 @@ def draw_2d(sobol, key, sample, dimension):
     """Two numbers of a path in [0, 1)^2, as `draw_1d`; uses two dimensions."""
     if sobol:
         return sobol_2d(child_key(key, dimension), sample)
-    path = child_key(key, sample)
+    path = member_key(key, sample)
     return uniform(path, dimension), uniform(path, dimension + 1)
 
 
@@ -132,7 +138,7 @@ def sample_2d(key, sample, dimension, i, count, columns):
     """
     if columns == SOBOL:
         return sobol_2d(child_key(key, dimension), sample * count + i)
-    path = child_key(key, sample)
+    path = member_key(key, sample)
     u = uniform(path, dimension + 2 * i)
     v = uniform(path, dimension + 2 * i + 1)
     if columns == INDEPENDENT:

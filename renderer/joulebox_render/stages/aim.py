@@ -99,9 +99,10 @@ def _marked_cells(tables: SceneTables, light: int, balls: F8) -> np.ndarray | No
     kind = int(tables.light_kind[light])
     if kind not in (POINT_LIGHT, SPOT_LIGHT, RECTANGLE_LIGHT, DISK_LIGHT, SPHERE_LIGHT):
         return None
+    edge_u, edge_v = (float(np.linalg.norm(edge[light])) for edge in (tables.light_edge_u, tables.light_edge_v))
     size = {
-        RECTANGLE_LIGHT: math.hypot(*(np.linalg.norm(edge[light]) for edge in (tables.light_edge_u, tables.light_edge_v))),
-        DISK_LIGHT: float(np.linalg.norm(tables.light_edge_u[light])),
+        RECTANGLE_LIGHT: math.hypot(edge_u, edge_v),
+        DISK_LIGHT: edge_u,
         SPHERE_LIGHT: float(tables.light_radius[light]),
     }.get(kind, 0.0)
     axis, radius = _cell_cones(tables, light, kind)
