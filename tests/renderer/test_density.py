@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from joulebox_render.kernels.gathering import kernel_weight, nearest_irradiance
 from joulebox_render.records import Photons, Scratch
-from joulebox_render.stages.gather import FILTERS, DensityEstimate
+from joulebox_render.stages.density import FILTERS, DensityEstimate
 from joulebox_render.stages.photon_map import PhotonMap, build_photon_map, grow_tree
 
 DENSITY = 10_000.0

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from joulebox_render.kernels.compilation import device, kernel
-from joulebox_render.kernels.kdtree import nearest_points
+from joulebox_render.kernels.kdtree import candidate_distance2, candidate_row, nearest_point, nearest_points
 from joulebox_render.kernels.rng import member_key, uniform
 from joulebox_render.kernels.vector import row3, set_row3
 
@@ -44,14 +44,15 @@ def estimate_irradiance(tree, flux, position, normal, k, reach, cos_limit, filte
         found = nearest_points(
             tree, x, y, z, nx, ny, nz, cos_limit, reach * reach, k, scratch
         )
-        first, radius2 = 0, np.float64(reach) * reach
+        inside, radius2 = found, np.float64(reach) * reach
         if found == k:
-            first, radius2 = 1, np.float64(scratch.distance2[0])
+            inside, radius2 = k - 1, np.float64(candidate_distance2(scratch.candidates[k - 1]))
         red, green, blue = 0.0, 0.0, 0.0
         if radius2 > 0.0:
-            for i in range(first, found):
-                weight = kernel_weight(filter_kind, scratch.distance2[i] / radius2)
-                row = scratch.row[i]
+            for i in range(inside):
+                entry = scratch.candidates[i]
+                weight = kernel_weight(filter_kind, candidate_distance2(entry) / radius2)
+                row = candidate_row(entry)
                 red += weight * flux[row, 0]
                 green += weight * flux[row, 1]
                 blue += weight * flux[row, 2]
@@ -70,11 +71,9 @@ def nearest_irradiance(tree, records, position, normal, reach, cos_limit, scratc
     for q in range(position.shape[0]):
         x, y, z = row3(position, q)
         nx, ny, nz = row3(normal, q)
-        found = nearest_points(
-            tree, x, y, z, nx, ny, nz, cos_limit, reach * reach, 1, scratch
-        )
+        row = nearest_point(tree, x, y, z, nx, ny, nz, cos_limit, reach * reach, scratch)
         for c in range(3):
-            irradiance[q, c] = records[scratch.row[0], c] if found else 0.0
+            irradiance[q, c] = records[row, c] if row >= 0 else 0.0
 
 
 @kernel

@@ -21,8 +21,9 @@ from joulebox_render.kernels.irradiance import (
 from joulebox_render.kernels.transport import gather_rays
 from joulebox_render.records import F4, F8, I4, I8, U1, Camera, Points, Rays, rows
 from joulebox_render.stages.context import Context
+from joulebox_render.stages.density import Illumination
 from joulebox_render.stages.eye import camera_frame, look
-from joulebox_render.stages.gather import Illumination, final_gather, incident_radiance
+from joulebox_render.stages.gather import final_gather, incident_radiance
 from joulebox_render.stages.paths import join
 
 # Pixels between the overture's eye rays, coarse to fine.
