@@ -7,12 +7,16 @@ from collections.abc import Iterable
 import numpy as np
 
 from joulebox_render.kernels.gathering import add_weighted, mark_short, reflect_irradiance, reflect_mean
+from joulebox_render.kernels.importance import CELL_COLUMNS, CELL_ROWS, incoming_chances
 from joulebox_render.kernels.transport import continue_paths, gather_rays
-from joulebox_render.records import F4, F8, Points, Rays, rows
+from joulebox_render.records import F4, F8, Points, Rays, Scratch, rows
 from joulebox_render.stages.context import Context
 from joulebox_render.stages.density import Illumination
 from joulebox_render.stages.direct import sample_lights
 from joulebox_render.stages.paths import follow_to_diffuse, join
+from joulebox_render.stages.photon_map import BOUNCED, CAUSTIC
+
+NOT_BENT: F4 = np.empty((0, CELL_ROWS * CELL_COLUMNS), np.float32)
 
 # No path is followed through more diffuse bounces; Russian roulette ends nearly all long before.
 MAX_PATH_BOUNCES = 1000
@@ -26,13 +30,27 @@ def final_gather(context: Context, light: Illumination, points: Points) -> tuple
 
     def chunk(first: int, last: int) -> tuple[F8, int]:
         rays = Rays.empty((last - first) * count)
-        gather_rays(points, first, last, count, context.columns(count), rays)
+        chance = incoming(context, light, points, first, last)
+        gather_rays(points, first, last, count, context.columns(count), chance, rays)
         incident, _, traced = incident_radiance(context, light, rays)
         radiance = np.empty((last - first, 3))
         reflect_mean(points, first, last, count, incident, radiance)
         return radiance, traced
 
     return collect(context.pool.map_chunks(chunk, len(points.owner), count))
+
+
+def incoming(context: Context, light: Illumination, points: Points, first: int, last: int) -> F4:
+    """Chances (last - first, cells) f4 of the directions of gather rays; no rows where they are not bent."""
+    if not context.plan.importance_sampling:
+        return NOT_BENT
+    estimate, photons = light.estimate, light.estimate.photons
+    chance = np.empty((last - first, CELL_ROWS * CELL_COLUMNS), np.float32)
+    incoming_chances(
+        photons.tree, photons.wi, photons.flux, photons.history, BOUNCED if light.caustics else CAUSTIC, points, first,
+        estimate.count, estimate.reach_m, estimate.cos_limit, Scratch.empty(estimate.count), chance,
+    )  # fmt: skip
+    return chance
 
 
 def incident_radiance(context: Context, light: Illumination, rays: Rays) -> tuple[F8, F4, int]:

@@ -23,7 +23,7 @@ from joulebox_render.records import F4, F8, I4, I8, U1, Camera, Points, Rays, ro
 from joulebox_render.stages.context import Context
 from joulebox_render.stages.density import Illumination
 from joulebox_render.stages.eye import camera_frame, look
-from joulebox_render.stages.gather import final_gather, incident_radiance
+from joulebox_render.stages.gather import NOT_BENT, final_gather, incident_radiance
 from joulebox_render.stages.paths import join
 
 # Pixels between the overture's eye rays, coarse to fine.
@@ -108,7 +108,7 @@ def gather_records(
 
     def chunk(first: int, last: int) -> tuple[CacheRecords, int]:
         rays = Rays.empty((last - first) * count)
-        gather_rays(points, first, last, count, polar, rays)
+        gather_rays(points, first, last, count, polar, NOT_BENT, rays)
         incident, distance, traced = incident_radiance(context, light, rays)
         part = CacheRecords.empty(last - first)
         summarize_gather(points, first, polar, azimuth, incident, distance, near[first:last], far[first:last], part, 0)
