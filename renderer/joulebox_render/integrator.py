@@ -139,7 +139,7 @@ def indirect_light(context: Context, maps: Maps, points: Points) -> tuple[F8, in
     light = illumination(context, maps)
     if maps.cache is not None:
         return cached_gather(context, maps.cache, light, points)
-    return final_gather(context, light, points)
+    return final_gather(context, light, points, context.settings.final_gather_rays)
 
 
 def illumination(context: Context, maps: Maps) -> Illumination:

@@ -7,6 +7,7 @@ import numpy as np
 from joulebox_render.kernels.compilation import device, kernel
 from joulebox_render.kernels.kdtree import candidate_distance2, candidate_row, nearest_point, nearest_points
 from joulebox_render.kernels.rng import member_key, uniform
+from joulebox_render.kernels.transport import push_point
 from joulebox_render.kernels.vector import row3, set_row3
 
 CONSTANT, CONE, EPANECHNIKOV = 0, 1, 2
@@ -89,14 +90,29 @@ def reflect_irradiance(points, irradiance, radiance):
 
 
 @kernel
-def mark_short(points, resolution, is_near):
-    """Mark points (N,) u1/bool whose last ray was shorter than about `resolution` [m].
+def take_short(points, resolution, near):
+    """Move points whose last ray was shorter than about `resolution` [m] to `near`; returns how many.
 
-    The limit varies from 0.5 to 1.5 of it by chance, so that no line shows where the method changes.
+    Their weights in `points` become 0. near is overwritten, in the order of the points. The limit varies from 0.5 to
+    1.5 of the resolution by chance, so that no line shows where the method changes.
     """
+    count = 0
     for q in range(points.owner.shape[0]):
-        limit = resolution * (0.5 + uniform(member_key(points.key[q], points.sample[q]), SHORT_DIMENSION))
-        is_near[q] = points.distance[q] < limit
+        key, sample = points.key[q], points.sample[q]
+        if points.distance[q] >= resolution * (0.5 + uniform(member_key(key, sample), SHORT_DIMENSION)):
+            continue
+        px, py, pz = row3(points.position, q)
+        gx, gy, gz = row3(points.geometric, q)
+        sx, sy, sz = row3(points.normal, q)
+        ax, ay, az = row3(points.albedo, q)
+        wx, wy, wz = row3(points.weight, q)
+        push_point(
+            near, count, px, py, pz, gx, gy, gz, sx, sy, sz, ax, ay, az, wx, wy, wz,
+            points.owner[q], key, sample, points.distance[q],
+        )  # fmt: skip
+        set_row3(points.weight, q, 0.0, 0.0, 0.0)
+        count += 1
+    return count
 
 
 @kernel

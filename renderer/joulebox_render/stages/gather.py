@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from joulebox_render.kernels.gathering import add_weighted, mark_short, reflect_irradiance, reflect_mean
+from joulebox_render.kernels.gathering import add_weighted, reflect_irradiance, reflect_mean, take_short
 from joulebox_render.kernels.importance import CELL_COLUMNS, CELL_ROWS, incoming_chances
 from joulebox_render.kernels.transport import continue_paths, gather_rays
 from joulebox_render.records import F4, F8, Points, Rays, Scratch, rows
@@ -24,9 +24,8 @@ MAX_PATH_BOUNCES = 1000
 MOST_SHORT = 3
 
 
-def final_gather(context: Context, light: Illumination, points: Points) -> tuple[F8, int]:
-    """Radiance (points, 3) f8 that points reflect of light that comes from other surfaces, and the rays traced."""
-    count = context.settings.final_gather_rays
+def final_gather(context: Context, light: Illumination, points: Points, count: int) -> tuple[F8, int]:
+    """Radiance (points, 3) f8 that points reflect of light from other surfaces, by `count` rays each; rays traced."""
 
     def chunk(first: int, last: int) -> tuple[F8, int]:
         rays = Rays.empty((last - first) * count)
@@ -70,12 +69,11 @@ def incident_radiance(context: Context, light: Illumination, rays: Rays) -> tupl
     for _ in range(MOST_SHORT):
         if not reached:
             break
-        is_near = np.empty(len(reached[0].owner), np.bool_)
-        mark_short(reached[0], light.resolution_m, is_near)
-        near = Points(*rows(reached[0], is_near))
+        near = Points.empty(len(reached[0].owner))
+        near = Points(*rows(near, slice(0, take_short(reached[0], light.resolution_m, near))))
         if not len(near.owner):
             break
-        for far in (Points(*rows(reached[0], ~is_near)), *reached[1:]):
+        for far in reached:
             reflect_irradiance(far, light.look_up(far), radiance)
         lit, shadow = sample_lights(context, near, 0, len(near.owner), 1)
         add_weighted(near, lit, radiance)

@@ -32,6 +32,8 @@ STEPS = (16, 8, 4, 2)
 LEAST_PIXELS, MOST_PIXELS = 1.5, 20.0
 # Records are placed at this share of the tolerance that they are used with, so that several blend at every point.
 PLACING = 0.6
+# Rays of a gather where no record reaches.
+LEAST_RAYS = 16
 # A point costs about as much as this many rays.
 RAYS_PER_LOOKUP = 2
 
@@ -167,6 +169,8 @@ def cached_gather(
     irradiance, found = interpolate(context, cache, points)
     radiance = points.albedo * irradiance / math.pi
     missing = np.flatnonzero(found == 0)
-    gathered, traced = final_gather(context, light, Points(*rows(points, missing)))
+    # The samples of a pixel share the noise of its own gathers as records share theirs with many pixels.
+    count = max(LEAST_RAYS, context.settings.final_gather_rays // context.settings.samples_per_pixel)
+    gathered, traced = final_gather(context, light, Points(*rows(points, missing)), count)
     radiance[missing] = gathered
     return radiance.astype(np.float64), traced
