@@ -1,11 +1,11 @@
-"""Irradiance from photons: density estimates, and look-ups of estimates made before."""
+"""Irradiance from photons: density estimates, and what points reflect of it."""
 
 import math
 
 import numpy as np
 
 from joulebox_render.kernels.compilation import device, kernel
-from joulebox_render.kernels.kdtree import candidate_distance2, candidate_row, nearest_point, nearest_points
+from joulebox_render.kernels.kdtree import candidate_distance2, candidate_row, nearest_points
 from joulebox_render.kernels.rng import member_key, uniform
 from joulebox_render.kernels.transport import push_point
 from joulebox_render.kernels.vector import row3, set_row3
@@ -28,16 +28,17 @@ def kernel_weight(kind, share2):
 
 
 @kernel
-def estimate_irradiance(tree, flux, position, normal, k, reach, cos_limit, filter_kind, scratch, irradiance):
+def estimate_irradiance(tree, flux, position, normal, k, reach, cos_limit, filter_kind, scratch, estimates):
     """Irradiance at points from their nearest photons [W m^-2].
 
     E = sum_p w(d_p / r) flux_p / (pi r^2)
 
     flux (P, 3) f4 in the tree's order [W], already divided by the number emitted; position, normal (Q, 3) f4;
-    k nearest within `reach` [m]; irradiance (Q, 3) f4 is overwritten. Where k photons are found, r is the
-    distance of the k-th and the sum leaves that one out: with it, the estimate would be too large by
-    k / (k - 1) in the mean. With fewer, r is `reach`. Near edges the disc hangs over the surface and the
-    estimate is too dark (boundary bias). Source: Jensen 1996, eq. 5; Jensen 2001, section 7.2.
+    k nearest within `reach` [m]; estimates is overwritten: irradiance, radius r and how many photons were found.
+    Where k photons are found, r is the distance of the k-th and the sum leaves that one out: with it, the
+    estimate would be too large by k / (k - 1) in the mean. With fewer, r is `reach`. Near edges the disc hangs
+    over the surface and the estimate is too dark (boundary bias). Source: Jensen 1996, eq. 5; Jensen 2001,
+    section 7.2.
     """
     for q in range(position.shape[0]):
         x, y, z = row3(position, q)
@@ -59,22 +60,8 @@ def estimate_irradiance(tree, flux, position, normal, k, reach, cos_limit, filte
                 blue += weight * flux[row, 2]
             scale = 1.0 / (math.pi * radius2)
             red, green, blue = red * scale, green * scale, blue * scale
-        set_row3(irradiance, q, red, green, blue)
-
-
-@kernel
-def nearest_irradiance(tree, records, position, normal, reach, cos_limit, scratch, irradiance):
-    """Irradiance of the record nearest to each point, 0 where none lies within `reach` [m].
-
-    records (R, 3) f4 in the tree's order [W m^-2]; irradiance (Q, 3) f4 is overwritten.
-    Source: Christensen 1999.
-    """
-    for q in range(position.shape[0]):
-        x, y, z = row3(position, q)
-        nx, ny, nz = row3(normal, q)
-        row = nearest_point(tree, x, y, z, nx, ny, nz, cos_limit, reach * reach, scratch)
-        for c in range(3):
-            irradiance[q, c] = records[row, c] if row >= 0 else 0.0
+        set_row3(estimates.irradiance, q, red, green, blue)
+        estimates.radius[q], estimates.found[q] = math.sqrt(radius2), inside
 
 
 @kernel
