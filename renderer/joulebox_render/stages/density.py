@@ -17,15 +17,21 @@ from joulebox_render.kernels.lookup import (
     mark_cells,
     nearest_irradiance,
 )
+from joulebox_render.kernels.rng import path_key
 from joulebox_render.pool import WorkerPool
 from joulebox_render.records import F4, F8, I4, U8, Points, Scratch, Tree
 from joulebox_render.stages.context import Context
+from joulebox_render.stages.direct import sample_lights
 from joulebox_render.stages.photon_map import PhotonMap, grow_tree
 
 FILTERS = {"constant": 0, "cone": 1, "epanechnikov": 2}
 # A density estimate visits about as much memory as this many rays.
 RAYS_PER_ESTIMATE = 16
 RAYS_PER_LOOK_UP = 2
+# Direct light is sampled where irradiance is precomputed: exact at shadows' edges and corners, and without noise, where
+# photons straight from the lights would blur it. So few rays do, as each gather averages over many records.
+RECORD_SHADOW_RAYS = 4
+RECORD_STREAM = 3
 # Cells by which a table reaches beyond the records on every side, and to which it is filled around each at most.
 MARGIN = 16
 
@@ -144,7 +150,9 @@ def precompute_irradiance(context: Context, photons: PhotonMap) -> IrradianceRec
     estimate = global_estimate(context, photons)
 
     def chunk(first: int, last: int) -> Estimates:
-        return estimate(position[first:last], normal[first:last])
+        estimates = estimate(position[first:last], normal[first:last])
+        sampled = direct_irradiance(context, first, position[first:last], normal[first:last])
+        return estimates._replace(irradiance=estimates.irradiance + sampled)
 
     parts = list(context.pool.map_chunks(chunk, len(position), RAYS_PER_ESTIMATE))
     estimates = Estimates(*map(np.concatenate, zip(*parts, strict=True))) if parts else Estimates.empty(0)
@@ -160,6 +168,19 @@ def precompute_irradiance(context: Context, photons: PhotonMap) -> IrradianceRec
     # Estimates hardly change over half the radius of their discs.
     table = tabulate(context.pool, records, estimate.cos_limit, 0.5 * radius, 1.5 * spacing, lift)
     return records._replace(table=table)
+
+
+def direct_irradiance(context: Context, first: int, position: F4, normal: F4) -> F4:
+    """Irradiance (N, 3) f4 straight from the lights at records `first` ..., by RECORD_SHADOW_RAYS to each [W m^-2]."""
+    count = len(position)
+    points = Points.empty(count)
+    points.position[:] = position + context.tables.epsilon[0] * normal
+    points.normal[:] = points.geometric[:] = normal
+    points.albedo[:] = math.pi
+    points.key[:] = path_key(context.settings.seed, RECORD_STREAM, 0)
+    points.sample[:] = np.arange(first, first + count)
+    irradiance, _ = sample_lights(context, points, 0, count, RECORD_SHADOW_RAYS)
+    return irradiance.astype(np.float32)
 
 
 def empty_table() -> IrradianceTable:
