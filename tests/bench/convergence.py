@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import csv
 import json
+import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -20,31 +21,33 @@ import altair as alt
 import vl_convert
 from joulebox_render.bench import shrink
 from joulebox_render.errors import RenderError
+from joulebox_render.settings import Settings
 from joulebox_server.analysis import palette
 
 from . import mitsuba_side
-from .candidates import Values, measure
+from .candidates import NAMED, Values, measure
 from .references import load_reference
 from .rivals import mitsuba_curve
 
 TARGET = Path(__file__).resolve().parents[2] / "docs" / "convergence.png"
 SCENES = ("cornell-boxes", "cornell-spheres")
+CPU_TIME, TOLERANCE = "CPU seconds", "cache tolerance"
 # Each setting is varied with the others as here: rich enough that its own error shows, down to the floor.
 BASE: Values = {"samples_per_pixel": 4, "shadow_rays": 36, "final_gather_rays": 64, "global_photons": 200_000}
 AXES: dict[str, tuple[str, Sequence[Any], Values]] = {
     "photons": ("global_photons", (1_000, 3_000, 10_000, 30_000, 100_000, 300_000, 1_000_000), {}),
     "gather rays": ("final_gather_rays", (1, 4, 9, 25, 64, 144, 256), {"irradiance_cache_tolerance": 0.0}),
-    "cache tolerance": ("irradiance_cache_tolerance", (0.8, 0.4, 0.2, 0.1, 0.05, 0.02), {}),
+    TOLERANCE: ("irradiance_cache_tolerance", (0.8, 0.4, 0.2, 0.1, 0.05, 0.02), {}),
     "samples a pixel": ("samples_per_pixel", (1, 4, 9, 16, 25), {"irradiance_cache_tolerance": 0.0}),
 }
-CPU_TIME = "CPU seconds"
-OURS, PATH, MITSUBA = "photon mapping", "path", "Mitsuba path"
-COLOURS = {OURS: palette.BLUE, PATH: palette.GREEN, MITSUBA: palette.VERMILION}
-# On the time panel: the presets, and all of a picture raised together.
+OURS, PRESETS, PATH, MITSUBA = "photon mapping", "its presets", "path", "Mitsuba path"
+COLOURS = {OURS: palette.BLUE, PRESETS: palette.INK, PATH: palette.GREEN, MITSUBA: palette.VERMILION}
+# On the time panel: the presets, and all that makes a picture better raised together.
+NAMED_ONES: list[Values] = [{"preset": name} for name in NAMED]
 TIMES: list[Values] = [
-    {"preset": "draft"}, {"preset": "balanced"}, {"preset": "fine"},
-    *({"samples_per_pixel": s, "shadow_rays": r, "final_gather_rays": r, "global_photons": p}
-      for s, r, p in ((1, 4, 20_000), (1, 16, 50_000), (4, 9, 50_000), (4, 36, 100_000), (9, 36, 300_000))),
+    {"samples_per_pixel": s, "shadow_rays": r, "final_gather_rays": r, "global_photons": p}
+    for s, r, p in ((1, 4, 20_000), (4, 4, 50_000), (4, 9, 50_000), (9, 9, 100_000), (9, 16, 200_000),
+                    (16, 36, 500_000))
 ]  # fmt: skip
 PATHS: list[Values] = [{"indirect": "path", "shadow_rays": 4, "samples_per_pixel": s} for s in (1, 4, 16, 64, 256)]
 MITSUBA_UNTIL_FLIP = 0.06
@@ -65,6 +68,13 @@ class Point(NamedTuple):
     flip: float
 
 
+class LogAxis(NamedTuple):
+    """A logarithmic axis: its ends and where its ticks are."""
+
+    domain: tuple[float, float]
+    ticks: list[float]
+
+
 def sweep(scene: str, size: int, say: Callable[[str], None]) -> Iterator[Point]:
     """All points of one scene."""
     reference = load_reference(scene)
@@ -78,9 +88,9 @@ def sweep(scene: str, size: int, say: Callable[[str], None]) -> Iterator[Point]:
             if found is None:
                 break
             yield Point(scene, panel, OURS, found.name, step, found.cpu_s, found.relmse, found.flip)
-    for series, configurations in ((OURS, TIMES), (PATH, PATHS)):
-        for values in configurations:
-            if found := measure(scene, values, truth, say, film):
+    for series, configurations in ((PRESETS, NAMED_ONES), (OURS, TIMES), (PATH, PATHS)):
+        for configuration in configurations:
+            if found := measure(scene, configuration, truth, say, film):
                 cpu_s = found.cpu_s
                 yield Point(scene, CPU_TIME, series, found.name, cpu_s, cpu_s, found.relmse, found.flip)
     if mitsuba_side.variant() != mitsuba_side.LLVM:
@@ -92,43 +102,54 @@ def sweep(scene: str, size: int, say: Callable[[str], None]) -> Iterator[Point]:
 
 def without_unknown(values: Values, kept: str) -> dict[str, Any]:
     """The values whose settings this version has, so that only the axis itself can be unknown."""
-    from joulebox_render.settings import Settings
-
     return {name: value for name, value in values.items() if name in Settings.model_fields or name == kept}
 
 
 def draw(points: Sequence[Point]) -> dict[str, Any]:
     """The figure: a row for each scene and error, a panel for each axis."""
     rows = []
+    names = list(dict.fromkeys(point.panel for point in points))
     for scene in dict.fromkeys(point.scene for point in points):
+        here = [point for point in points if point.scene == scene]
         for error, title in ERRORS.items():
-            panels = [
-                draw_panel([point for point in points if (point.scene, point.panel) == (scene, panel)], panel, error)
-                for panel in dict.fromkeys(point.panel for point in points)
-            ]
+            y = log_axis([getattr(point, error) for point in here])
+            panels = [draw_panel([point for point in here if point.panel == name], name, error, y) for name in names]
             rows.append(alt.hconcat(*panels, title=alt.TitleParams(f"{scene}: {title} against converged")))
-    figure = alt.vconcat(*rows).resolve_scale(color="shared")
-    spec: dict[str, Any] = figure.to_dict()
+    spec: dict[str, Any] = alt.vconcat(*rows).resolve_scale(color="shared").to_dict()
     spec["config"] = palette.config()
     return spec
 
 
-def draw_panel(points: Sequence[Point], panel: str, error: str) -> alt.LayerChart:
-    """Error over one axis, both logarithmic; presets are named."""
-    rows = [point._asdict() | {"label": point.settings.partition(",")[0]} for point in points]
-    reversed_axis = panel == "cache tolerance"  # to the right is always the dearer side
-    base = alt.Chart(alt.Data(values=rows)).encode(
-        x=alt.X("x:Q", title=panel, scale=alt.Scale(type="log", reverse=reversed_axis),
-                axis=alt.Axis(format="~s", labelOverlap=True, tickCount=5)),
-        y=alt.Y(f"{error}:Q", title=ERRORS[error], scale=alt.Scale(type="log"),
-                axis=alt.Axis(format="~g", labelOverlap=True, tickCount=5)),
+def draw_panel(points: Sequence[Point], panel: str, error: str, y: LogAxis) -> Any:
+    """Error over one axis, both logarithmic; to the right is always the dearer side."""
+    x = log_axis([point.x for point in points])
+    rows = [point._asdict() for point in points]
+    base = alt.Chart(alt.InlineData(values=rows)).encode(
+        x=alt.X("x:Q", title=panel, axis=alt.Axis(values=x.ticks, format="~s" if x.domain[0] >= 1 else "~g",
+                                                  labelOverlap="greedy"),
+                scale=alt.Scale(type="log", domain=x.domain, nice=False, reverse=panel == TOLERANCE)),
+        y=alt.Y(f"{error}:Q", title=ERRORS[error], axis=alt.Axis(values=y.ticks, format="~g"),
+                scale=alt.Scale(type="log", domain=y.domain, nice=False)),
         color=alt.Color("series:N", title=None, scale=alt.Scale(domain=list(COLOURS), range=list(COLOURS.values()))),
     )  # fmt: skip
-    parts = [base.mark_line(strokeWidth=1.5, opacity=0.6), base.mark_point(filled=True, size=36, opacity=1)]
-    if panel == CPU_TIME:
-        named = base.transform_filter(alt.FieldOneOfPredicate(field="settings", oneOf=["draft", "balanced", "fine"]))
-        parts.append(named.mark_text(align="left", dx=5, dy=-5, fontSize=11).encode(text="label:N"))
+    swept = base.transform_filter(alt.datum.series != PRESETS)
+    named = base.transform_filter(alt.datum.series == PRESETS)
+    parts = [
+        swept.mark_line(strokeWidth=1.5, opacity=0.6),
+        swept.mark_point(filled=True, size=36, opacity=1),
+        named.mark_point(filled=True, size=80, shape="diamond", opacity=1),
+        named.mark_text(align="left", dx=6, dy=-6, fontSize=11).encode(text="settings:N"),
+    ]
     return alt.layer(*parts).properties(width=PANEL_WIDTH, height=PANEL_HEIGHT)
+
+
+def log_axis(values: Sequence[float]) -> LogAxis:
+    """A logarithmic axis that holds all values with a little room, and ticks at 1, 2 and 5 times powers of ten."""
+    low, high = 0.8 * min(values), 1.25 * max(values)
+    decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    steps = (1, 2, 5) if high / low < 300 else (1,)
+    ticks = [float(f"{step}e{decade}") for decade in decades for step in steps]
+    return LogAxis((low, high), [tick for tick in ticks if low <= tick <= high])
 
 
 def write_csv(file: Path, points: Sequence[Point]) -> None:
