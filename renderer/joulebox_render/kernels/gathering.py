@@ -77,16 +77,17 @@ def reflect_irradiance(points, irradiance, radiance):
 
 
 @kernel
-def take_short(points, resolution, near):
-    """Move points whose last ray was shorter than about `resolution` [m] to `near`; returns how many.
+def take_unsure(points, unsure, resolution, near):
+    """Move points marked in unsure (N,) u1, or whose last ray was shorter than about `resolution` [m], to `near`.
 
-    Their weights in `points` become 0. near is overwritten, in the order of the points. The limit varies from 0.5 to
+    Returns how many. Their weights in `points` become 0. near is overwritten, in the order of the points. The limit varies from 0.5 to
     1.5 of the resolution by chance, so that no line shows where the method changes.
     """
     count = 0
     for q in range(points.owner.shape[0]):
         key, sample = points.key[q], points.sample[q]
-        if points.distance[q] >= resolution * (0.5 + uniform(member_key(key, sample), SHORT_DIMENSION)):
+        limit = resolution * (0.5 + uniform(member_key(key, sample), SHORT_DIMENSION))
+        if points.distance[q] >= limit and not unsure[q]:
             continue
         px, py, pz = row3(points.position, q)
         gx, gy, gz = row3(points.geometric, q)

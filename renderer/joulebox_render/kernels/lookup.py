@@ -4,12 +4,14 @@ A cell is a cube of the table's edge and a range of normals. Normals in one rang
 the two sides of a wall and the walls of a corner never share a cell.
 """
 
+import math
+
 import numpy as np
 
 from joulebox_render.kernels.compilation import device, kernel
 from joulebox_render.kernels.kdtree import nearest_point
 from joulebox_render.kernels.rng import mix
-from joulebox_render.kernels.vector import row3, tangent_frame
+from joulebox_render.kernels.vector import row3, set_row3, tangent_frame
 
 # A cell's key: 19 bits for each coordinate and 7 for the normal; no normal's code reaches 127.
 CELLS_A_SIDE = 1 << 19
@@ -19,6 +21,8 @@ NO_CELL = np.uint64(0xFFFFFFFFFFFFFFFF)
 RANGES = 2.3
 # Distance of the points that mark cells, in edges: closer ones would meet few cells more.
 LATTICE = 0.75
+# Rays that feel whether a cell is all in one place.
+FEELERS = 5
 
 
 @device
@@ -86,25 +90,55 @@ def mark_cells(table, position, normal, lift, steps, points, normals, slots):
 
 
 @kernel
-def nearest_irradiance(tree, records, position, normal, reach, cos_limit, scratch, irradiance):
-    """Irradiance of the record nearest to each point, 0 where none lies within `reach` [m].
-
-    records (R, 3) f4 in the tree's order [W m^-2]; irradiance (Q, 3) f4 is overwritten.
-    Source: Christensen 1999.
-    """
+def nearest_records(tree, position, normal, reach, cos_limit, scratch, row):
+    """Row (Q,) i4 of the record nearest to each point, -1 where none lies within `reach` [m]."""
     for q in range(position.shape[0]):
         x, y, z = row3(position, q)
         nx, ny, nz = row3(normal, q)
-        row = nearest_point(tree, x, y, z, nx, ny, nz, cos_limit, reach * reach, scratch)
-        for c in range(3):
-            irradiance[q, c] = records[row, c] if row >= 0 else 0.0
+        row[q] = nearest_point(tree, x, y, z, nx, ny, nz, cos_limit, reach * reach, scratch)
 
 
 @kernel
-def look_up_irradiance(table, tree, records, position, normal, reach, cos_limit, scratch, irradiance):
+def aim_feelers(tree, row, position, normal, lift, length, origin, direction, limit):
+    """FEELERS rays from each place: along the surface to four sides, `length` [m] far, and to the record of its row.
+
+    position, normal (Q, 3) f4; origin, direction (FEELERS Q, 3) and limit (FEELERS Q,) f4 are overwritten. Rays start
+    and end `lift` [m] above the surface.
+    """
+    for q in range(position.shape[0]):
+        nx, ny, nz = row3(normal, q)
+        px, py, pz = row3(position, q)
+        px, py, pz = px + lift * nx, py + lift * ny, pz + lift * nz
+        sx, sy, sz, tx, ty, tz = tangent_frame(nx, ny, nz)
+        rx, ry, rz = px + sx, py + sy, pz + sz
+        if row[q] >= 0:
+            ex, ey, ez = row3(tree.position, row[q])
+            mx, my, mz = row3(tree.normal, row[q])
+            rx, ry, rz = ex + lift * mx, ey + lift * my, ez + lift * mz
+        dx, dy, dz = rx - px, ry - py, rz - pz
+        distance = max(1e-30, math.sqrt(dx * dx + dy * dy + dz * dz))
+        for side in range(FEELERS):
+            out = FEELERS * q + side
+            set_row3(origin, out, px, py, pz)
+            limit[out] = length
+            if side == 0:
+                set_row3(direction, out, dx / distance, dy / distance, dz / distance)
+                limit[out] = distance
+            elif side < 3:
+                sign = 3.0 - 2.0 * side
+                set_row3(direction, out, sign * sx, sign * sy, sign * sz)
+            else:
+                sign = 7.0 - 2.0 * side
+                set_row3(direction, out, sign * tx, sign * ty, sign * tz)
+
+
+@kernel
+def look_up_irradiance(table, tree, records, position, normal, reach, cos_limit, scratch, irradiance, unsure):
     """Irradiance of each point's cell, or of the record nearest to it where the table has no such cell.
 
-    As nearest_irradiance but for a cell's size, and five to ten times as fast; returns how many cells were met.
+    irradiance (Q, 3) f4 [W m^-2] and unsure (Q,) u1 are overwritten; unsure is 1 where something stands between or no
+    record lies within `reach` [m]. As the nearest record but for a cell's size, and five to ten times as fast;
+    returns how many cells were met. Source: Christensen 1999.
     """
     met = 0
     for q in range(position.shape[0]):
@@ -115,9 +149,11 @@ def look_up_irradiance(table, tree, records, position, normal, reach, cos_limit,
         if table.key[slot] != NO_CELL:
             for c in range(3):
                 irradiance[q, c] = table.irradiance[slot, c]
+            unsure[q] = table.unsure[slot]
             met += 1
             continue
         row = nearest_point(tree, x, y, z, nx, ny, nz, cos_limit, reach * reach, scratch)
+        unsure[q] = row < 0
         for c in range(3):
             irradiance[q, c] = records[row, c] if row >= 0 else 0.0
     return met

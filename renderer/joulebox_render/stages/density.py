@@ -11,15 +11,16 @@ import numpy as np
 from joulebox_render.kernels.gathering import estimate_irradiance
 from joulebox_render.kernels.lookup import (
     CELLS_A_SIDE,
+    FEELERS,
     LATTICE,
     NO_CELL,
+    aim_feelers,
     look_up_irradiance,
     mark_cells,
-    nearest_irradiance,
+    nearest_records,
 )
 from joulebox_render.kernels.rng import path_key
-from joulebox_render.pool import WorkerPool
-from joulebox_render.records import F4, F8, I4, U8, Points, Scratch, Tree
+from joulebox_render.records import F4, F8, I4, U1, U8, Points, Scratch, Tree
 from joulebox_render.stages.context import Context
 from joulebox_render.stages.direct import sample_lights
 from joulebox_render.stages.photon_map import PhotonMap, grow_tree
@@ -34,6 +35,8 @@ RECORD_SHADOW_RAYS = 4
 RECORD_STREAM = 3
 # Cells by which a table reaches beyond the records on every side, and to which it is filled around each at most.
 MARGIN = 16
+# How far above the surface feelers run, in cells: a wall's foot is felt, a curve of the surface is not.
+FEELER_LIFT = 0.05
 
 
 class Estimates(NamedTuple):
@@ -55,13 +58,15 @@ class IrradianceTable(NamedTuple):
     """Irradiance in cells of place and normal, a hash table.
 
     low (3,) f8, the cells' common corner [m]; cells_per_m, of a side; key (S,) u8, S a power of two, at most half of
-    them cells (kernels.lookup.cell_key), the others NO_CELL; irradiance (S, 3) f4 [W m^-2].
+    them cells (kernels.lookup.cell_key), the others NO_CELL; irradiance (S, 3) f4 [W m^-2]; unsure (S,) u1, 1 where
+    something stands within a cell's length or between it and its record: a thin wall, a corner, a contact.
     """
 
     low: F8
     cells_per_m: float
     key: U8
     irradiance: F4
+    unsure: U1
 
 
 class IrradianceRecords(NamedTuple):
@@ -130,16 +135,19 @@ class Illumination:
     def resolution_m(self) -> float:
         return self.estimate.reach_m
 
-    def look_up(self, points: Points) -> F4:
-        """Irradiance (N, 3) f4: that of the records, or a density estimate where none are kept."""
+    def look_up(self, points: Points) -> tuple[F4, U1]:
+        """Irradiance (N, 3) f4 that the records know, or a density estimate where none are kept; and where it cannot
+        be relied on, unsure (N,) u1.
+        """
+        count = len(points.owner)
         if self.records is None:
-            return self.estimate(points.position, points.normal).irradiance
-        irradiance = np.empty((len(points.owner), 3), np.float32)
+            return self.estimate(points.position, points.normal).irradiance, np.zeros(count, np.uint8)
+        irradiance, unsure = np.empty((count, 3), np.float32), np.empty(count, np.uint8)
         look_up_irradiance(
             self.records.table, self.records.tree, self.records.irradiance, points.position, points.normal,
-            self.records.reach_m, self.estimate.cos_limit, Scratch.empty(1), irradiance,
+            self.records.reach_m, self.estimate.cos_limit, Scratch.empty(1), irradiance, unsure,
         )  # fmt: skip
-        return irradiance
+        return irradiance, unsure
 
 
 def precompute_irradiance(context: Context, photons: PhotonMap) -> IrradianceRecords:
@@ -166,7 +174,7 @@ def precompute_irradiance(context: Context, photons: PhotonMap) -> IrradianceRec
     spacing = radius * math.sqrt(math.pi * step / count)
     lift = float(context.tables.epsilon[0])
     # Estimates hardly change over half the radius of their discs.
-    table = tabulate(context.pool, records, estimate.cos_limit, 0.5 * radius, 1.5 * spacing, lift)
+    table = tabulate(context, records, estimate.cos_limit, 0.5 * radius, 1.5 * spacing, lift)
     return records._replace(table=table)
 
 
@@ -185,11 +193,11 @@ def direct_irradiance(context: Context, first: int, position: F4, normal: F4) ->
 
 def empty_table() -> IrradianceTable:
     """A table without cells, which leaves every look-up to the records."""
-    return IrradianceTable(np.zeros(3), 1.0, np.full(1, NO_CELL), np.zeros((1, 3), np.float32))
+    return IrradianceTable(np.zeros(3), 1.0, np.full(1, NO_CELL), np.zeros((1, 3), np.float32), np.zeros(1, np.uint8))
 
 
 def tabulate(
-    pool: WorkerPool, records: IrradianceRecords, cos_limit: float, edge_m: float, fill_m: float, lift_m: float
+    context: Context, records: IrradianceRecords, cos_limit: float, edge_m: float, fill_m: float, lift_m: float
 ) -> IrradianceTable:
     """The look-up of the nearest record, done ahead for cells of side `edge_m` up to about `fill_m` around records.
 
@@ -207,20 +215,28 @@ def tabulate(
     cells = -1
     while cells < 0:
         size *= 2
-        table = IrradianceTable(corner, 1 / edge_m, np.full(size, NO_CELL), np.empty((size, 3), np.float32))
+        table = IrradianceTable(corner, 1 / edge_m, np.full(size, NO_CELL), np.empty((size, 3), np.float32),
+            np.empty(size, np.uint8))
         place, facing = np.empty((2, size // 2, 3), np.float32)
         slots = np.empty(size // 2, np.int64)
         cells = mark_cells(table, tree.position, tree.normal, lift_m, steps, place, facing, slots)
 
     def chunk(first: int, last: int) -> None:
-        found = np.empty((last - first, 3), np.float32)
-        nearest_irradiance(
-            tree, irradiance, place[first:last], facing[first:last], records.reach_m, cos_limit,
-            Scratch.empty(1), found,
+        row = np.empty(last - first, np.int32)
+        nearest_records(
+            tree, place[first:last], facing[first:last], records.reach_m, cos_limit, Scratch.empty(1), row
+        )
+        table.irradiance[slots[first:last]] = np.where(row[:, None] >= 0, irradiance[row], 0.0)
+        origin, direction = np.empty((2, FEELERS * len(row), 3), np.float32)
+        limit = np.empty(FEELERS * len(row), np.float32)
+        aim_feelers(
+            tree, row, place[first:last], facing[first:last], max(lift_m, FEELER_LIFT * edge_m), edge_m,
+            origin, direction, limit,
         )  # fmt: skip
-        table.irradiance[slots[first:last]] = found
+        blocked = context.intersector.occluded(origin, direction, limit).reshape(-1, FEELERS)
+        table.unsure[slots[first:last]] = blocked.any(axis=1) | (row < 0)
 
-    list(pool.map_chunks(chunk, cells, RAYS_PER_LOOK_UP))
+    list(context.pool.map_chunks(chunk, cells, RAYS_PER_LOOK_UP + FEELERS))
     return table
 
 

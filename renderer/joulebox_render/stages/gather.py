@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from joulebox_render.kernels.gathering import add_weighted, reflect_irradiance, reflect_mean, take_short
+from joulebox_render.kernels.gathering import add_weighted, reflect_irradiance, reflect_mean, take_unsure
 from joulebox_render.kernels.importance import CELL_COLUMNS, CELL_ROWS, incoming_chances
 from joulebox_render.kernels.transport import continue_paths, gather_rays
 from joulebox_render.records import F4, F8, Points, Rays, Scratch, rows
@@ -57,24 +57,28 @@ def incident_radiance(context: Context, light: Illumination, rays: Rays) -> tupl
 
     Light that surfaces emit towards the rays' origins is left out: it is sampled directly, or, where it comes through
     mirrors and glass, shown by the caustic map; without a caustic map gather rays find it. Where a ray ends
-    nearer than the photon map can tell apart (corners, contacts) the map is not asked about that place but about
-    what lights it: a second gather of one ray, with direct light sampled (LuxCore's and Jensen's remedy, 2001,
-    section 8.4); after MOST_SHORT such stretches it is asked all the same.
+    nearer than the photon map can tell apart (corners, contacts), or where what the map knows may belong behind a
+    wall, the map is not asked about that place but about what lights it: a second gather of one ray, with direct light
+    sampled (LuxCore's remedy); after MOST_SHORT such stretches it is asked all the same.
     """
     radiance = np.zeros((len(rays.owner), 3))
     emission = not context.plan.caustic_map
     reached, distance, traced = follow_to_diffuse(
         context, rays, radiance, split=False, first_emission=False, specular_emission=emission
     )
-    for _ in range(MOST_SHORT):
-        if not reached:
-            break
-        near = Points.empty(len(reached[0].owner))
-        near = Points(*rows(near, slice(0, take_short(reached[0], light.resolution_m, near))))
+    for stretch in range(MOST_SHORT + 1):
+        again: list[Points] = []
+        for depth, far in enumerate(reached):
+            irradiance, unsure = light.look_up(far)
+            if stretch < MOST_SHORT:
+                near = Points.empty(len(far.owner))
+                # Past a mirror or glass the last stretch says nothing about how near the gathering point is.
+                count = take_unsure(far, unsure, 0.0 if depth else light.resolution_m, near)
+                again.append(Points(*rows(near, slice(0, count))))
+            reflect_irradiance(far, irradiance, radiance)
+        near = join(again)
         if not len(near.owner):
             break
-        for far in reached:
-            reflect_irradiance(far, light.look_up(far), radiance)
         lit, shadow = sample_lights(context, near, 0, len(near.owner), 1)
         add_weighted(near, lit, radiance)
         if light.caustics is not None:
@@ -86,8 +90,6 @@ def incident_radiance(context: Context, light: Illumination, rays: Rays) -> tupl
             split=False, first_emission=False, specular_emission=emission,
         )  # fmt: skip
         traced += shadow + through
-    for far in reached:
-        reflect_irradiance(far, light.look_up(far), radiance)
     return radiance, distance, traced
 
 
