@@ -212,7 +212,8 @@ def emit_photons(tables, seed, first, origin, direction, flux, key):
     light_count = tables.light_kind.shape[0]
     for i in range(origin.shape[0]):
         photon_key = path_key(seed, EMISSION_STREAM, first + i)
-        key[i] = photon_key
+        # The first hit draws from a key of its own: with this one it would repeat the emission's numbers.
+        key[i] = child_key(photon_key, 0)
         u = uniform(photon_key, 0)
         light = 0
         while light < light_count - 1 and u >= tables.light_choice[light]:
