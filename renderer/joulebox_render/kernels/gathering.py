@@ -30,7 +30,8 @@ def estimate_irradiance(tree, flux, position, normal, k, reach, cos_limit, filte
     E = sum_p w(d_p / r) flux_p / (pi r^2)
 
     flux (P, 3) f4 in the tree's order [W], already divided by the number emitted; position, normal (Q, 3) f4;
-    k nearest within `reach` [m]; estimates is overwritten: irradiance, radius r and how many photons were found.
+    k nearest within `reach` [m]; estimates is overwritten: irradiance, radius r, how many photons were found, and how
+    lopsided they lie: the squared distance of their centroid over what it is in the mean where they fill a disc.
     Where k photons are found, r is the distance of the k-th and the sum leaves that one out: with it, the
     estimate would be too large by k / (k - 1) in the mean. With fewer, r is `reach`. Near edges the disc hangs
     over the surface and the estimate is too dark (boundary bias). Source: Jensen 1996, eq. 5; Jensen 2001,
@@ -46,11 +47,15 @@ def estimate_irradiance(tree, flux, position, normal, k, reach, cos_limit, filte
         if found == k:
             inside, radius2 = k - 1, np.float64(candidate_distance2(scratch.candidates[k - 1]))
         red, green, blue = 0.0, 0.0, 0.0
+        ax, ay, az = 0.0, 0.0, 0.0
         if radius2 > 0.0:
             for i in range(inside):
                 entry = scratch.candidates[i]
                 weight = kernel_weight(filter_kind, candidate_distance2(entry) / radius2)
                 row = candidate_row(entry)
+                ax += tree.position[row, 0] - x
+                ay += tree.position[row, 1] - y
+                az += tree.position[row, 2] - z
                 red += weight * flux[row, 0]
                 green += weight * flux[row, 1]
                 blue += weight * flux[row, 2]
@@ -58,6 +63,8 @@ def estimate_irradiance(tree, flux, position, normal, k, reach, cos_limit, filte
             red, green, blue = red * scale, green * scale, blue * scale
         set_row3(estimates.irradiance, q, red, green, blue)
         estimates.radius[q], estimates.found[q] = math.sqrt(radius2), inside
+        square = ax * ax + ay * ay + az * az
+        estimates.lopsided[q] = 2.0 * square / (radius2 * inside) if radius2 * inside > 0.0 else 0.0
 
 
 @kernel

@@ -18,8 +18,9 @@ from joulebox_render.kernels.lookup import (
     nearest_irradiance,
 )
 from joulebox_render.pool import WorkerPool
-from joulebox_render.records import F4, F8, I4, U8, Points, Scratch, Tree
+from joulebox_render.records import F4, F8, U8, Estimates, Points, Scratch, Tree
 from joulebox_render.stages.context import Context
+from joulebox_render.stages.coverage import correct_boundaries
 from joulebox_render.stages.photon_map import PhotonMap, grow_tree
 
 FILTERS = {"constant": 0, "cone": 1, "epanechnikov": 2}
@@ -28,21 +29,6 @@ RAYS_PER_ESTIMATE = 16
 RAYS_PER_LOOK_UP = 2
 # Cells by which a table reaches beyond the records on every side, and to which it is filled around each at most.
 MARGIN = 16
-
-
-class Estimates(NamedTuple):
-    """Density estimates at points: irradiance (N, 3) f4 [W m^-2], radius (N,) f4 of each one's disc [m], found (N,) i4,
-    the photons that make it.
-    """
-
-    irradiance: F4
-    radius: F4
-    found: I4
-
-    @classmethod
-    def empty(cls, count: int) -> Estimates:
-        """Room for `count` estimates."""
-        return cls(np.empty((count, 3), np.float32), np.empty(count, np.float32), np.empty(count, np.int32))
 
 
 class IrradianceTable(NamedTuple):
@@ -73,21 +59,24 @@ class IrradianceRecords(NamedTuple):
 
 @dataclass(frozen=True)
 class DensityEstimate:
-    """How photons around a point become irradiance."""
+    """How photons around a point become irradiance; corrected for discs that hang over edges where given a context."""
 
     photons: PhotonMap
     count: int
     reach_m: float
     cos_limit: float
     filter_kind: int
+    context: Context | None = None
 
-    def __call__(self, position: F4, normal: F4) -> Estimates:
-        """Irradiance at points."""
+    def __call__(self, position: F4, normal: F4, key: U8) -> Estimates:
+        """Irradiance at points with position [m] and normal (N, 3) f4 and random key (N,) u8."""
         estimates = Estimates.empty(len(position))
         estimate_irradiance(
             self.photons.tree, self.photons.flux, position, normal, self.count, self.reach_m,
             self.cos_limit, self.filter_kind, Scratch.empty(self.count), estimates,
         )  # fmt: skip
+        if self.context is not None:
+            correct_boundaries(self.context, self.cos_limit, self.filter_kind, position, normal, key, estimates)
         return estimates
 
 
@@ -96,12 +85,15 @@ def global_estimate(context: Context, photons: PhotonMap) -> DensityEstimate:
     settings = context.settings
     return DensityEstimate(
         photons, settings.gather_count, settings.gather_distance_m,
-        math.cos(math.radians(settings.normal_angle_deg)), FILTERS[settings.gather_filter],
+        math.cos(math.radians(settings.normal_angle_deg)), FILTERS[settings.gather_filter], context,
     )  # fmt: skip
 
 
 def caustic_estimate(context: Context, photons: PhotonMap) -> DensityEstimate:
-    """The estimate that the settings ask for in the caustic map, with its own count and distance."""
+    """The estimate that the settings ask for in the caustic map, with its own count and distance.
+
+    It is not corrected at edges: a caustic seldom fills its disc anyway, and what it lacks is no surface.
+    """
     settings = context.settings
     return DensityEstimate(
         photons, settings.caustic_gather_count, settings.caustic_gather_distance_m,
@@ -117,7 +109,7 @@ def precompute_irradiance(context: Context, photons: PhotonMap) -> IrradianceRec
     estimate = global_estimate(context, photons)
 
     def chunk(first: int, last: int) -> Estimates:
-        return estimate(position[first:last], normal[first:last])
+        return estimate(position[first:last], normal[first:last], np.arange(first, last, dtype=np.uint64))
 
     parts = list(context.pool.map_chunks(chunk, len(position), RAYS_PER_ESTIMATE))
     estimates = Estimates(*map(np.concatenate, zip(*parts, strict=True))) if parts else Estimates.empty(0)
@@ -180,7 +172,7 @@ def show_photons(context: Context, estimate: DensityEstimate, points: Points) ->
     """Radiance (points, 3) f8 that points reflect of the photons around them (direct visualisation)."""
 
     def chunk(first: int, last: int) -> F8:
-        irradiance = estimate(points.position[first:last], points.normal[first:last]).irradiance
+        irradiance = estimate(points.position[first:last], points.normal[first:last], points.key[first:last]).irradiance
         return points.albedo[first:last].astype(np.float64) / math.pi * irradiance
 
     parts = list(context.pool.map_chunks(chunk, len(points.owner), RAYS_PER_ESTIMATE))
@@ -190,7 +182,7 @@ def show_photons(context: Context, estimate: DensityEstimate, points: Points) ->
 def look_up(estimate: DensityEstimate, records: IrradianceRecords | None, points: Points) -> F4:
     """Irradiance where gather rays ended: that of the records, or a density estimate where none are kept."""
     if records is None:
-        return estimate(points.position, points.normal).irradiance
+        return estimate(points.position, points.normal, points.key).irradiance
     irradiance = np.empty((len(points.owner), 3), np.float32)
     look_up_irradiance(
         records.table, records.tree, records.irradiance, points.position, points.normal,
