@@ -42,19 +42,18 @@ def test_the_cube_furnace_by_paths(render: Render, z_score: Z, sampler: str, ref
 
 
 def test_the_cube_furnace_by_final_gathering(open_session: Callable[..., Any]) -> None:
-    """Darker by the boundary bias and nothing else.
+    """As bright as it should be: the photon estimates are made up for where their discs hang over edges.
 
-    Radius-limited discs of radius r next to one of a face's four edges lose in the mean 2 / (3 pi) over a strip of
-    width r, so over a face of side 1 the photon estimate loses 4 r 2 / (3 pi) = 0.85 r: 1.7 % at 0.02 m. What is
-    gathered is rho of the picture: 0.85 %. Gather rays do not land uniformly, hence a factor of two both ways; the
-    noise of 100,000 photons is 0.2 %.
+    Radius-limited discs of radius r next to one of a face's four edges lack in the mean 2 / (3 pi) over a strip of
+    width r, so over a face of side 1 the photon estimate would lose 4 r 2 / (3 pi) = 0.85 r: 1.7 % at 0.02 m, and
+    the picture half of it (test_coverage.py looks at the strips themselves). Ten seeds spread by 0.8 %, most of it
+    sampled light at edges: three tell the mean to 0.5 %.
     """
     means = [
         open_session("furnace", width=16, height=16, gather_count=1000, seed=seed).render().pixels.mean()
         for seed in range(3)
     ]
-    loss = 1 - np.mean(means)
-    assert 0.0085 / 2 - 0.003 < loss < 0.0085 * 2 + 0.003
+    assert np.mean(means) == pytest.approx(1, abs=0.02)
 
 
 @pytest.mark.parametrize(

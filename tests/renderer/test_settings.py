@@ -295,7 +295,10 @@ def test_a_setting_does_what_it_says(render: Callable[..., Any], name: str) -> N
 def test_photons_on_surfaces_turned_away_count_by_the_angle(
     render: Callable[..., Any], make_scene: Callable[..., Path]
 ) -> None:
-    """Inside a ball of radius 1, photons within 0.2 m lie on normals up to 11.5 degrees away, half within 8."""
+    """Inside a ball of radius 1, photons within 0.2 m lie on normals up to 11.5 degrees away, half within 8.
+
+    The lopsided ones of the estimates, one in three or fewer, are made up for what the angle takes from their discs.
+    """
     ball = '<shape type="sphere"><boolean name="flip_normals" value="true"/></shape><emitter type="point"/>'
     settings = {**SMALL, "indirect": "direct_visualization", "gather_count": 5000, "gather_distance_m": 0.2}
     scene = make_scene(ball)
@@ -303,7 +306,7 @@ def test_photons_on_surfaces_turned_away_count_by_the_angle(
     all_, half, none = (
         render(scene, **settings, normal_angle_deg=angle).pixels.mean() - direct for angle in (30, 8.1, 0.01)
     )
-    assert half == pytest.approx(all_ / 2, rel=0.1)
+    assert 0.45 * all_ < half < 0.7 * all_
     assert none < 0.05 * all_
 
 
