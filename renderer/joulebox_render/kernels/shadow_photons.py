@@ -6,13 +6,13 @@ import numpy as np
 
 from joulebox_render.kernels.compilation import device, kernel
 from joulebox_render.kernels.lighting import DISK_LIGHT, RECTANGLE_LIGHT, SPHERE_LIGHT, light_sample
-from joulebox_render.kernels.rng import mix, path_key, uniform
+from joulebox_render.kernels.rng import child_key, mix, path_key, uniform
 from joulebox_render.kernels.surface import surface_at_hit
 from joulebox_render.kernels.transport import push_ray
 from joulebox_render.kernels.vector import row3, set_row3
 
 DIFFUSE, PHONG = 0, 4
-UNKNOWN, LIT, HIDDEN = 0, 1, 2
+UNKNOWN, LIT, HIDDEN, ABSTAINS = 0, 1, 2, 3
 BORDER_STREAM = 4
 # Points on a light's border that each photon looks at, a multiple of four, and how far out they lie.
 BORDER_RAYS = 8
@@ -80,18 +80,18 @@ def border_place(kind, i, key):
 
 
 @kernel
-def border_rays(tables, seed, photons, first, last, origin, direction, limit, owner):
-    """Shadow rays from photons [first, last) to the border of their lights; returns how many were written.
+def border_rays(tables, seed, light, photons, first, last, origin, direction, limit, owner):
+    """Shadow rays from photons [first, last) to the border of one light; returns how many were written.
 
     Only rays above the surface towards what shines at the photon; BORDER_RAYS a photon at most. owner (N,) i8 is the
     photon's row counted from `first`; limit (N,) f4 [m] stops just short of the light.
     """
     written = 0
+    stream = path_key(seed, BORDER_STREAM, light)
     for row in range(first, last):
         px, py, pz = row3(photons.position, row)
         gx, gy, gz = row3(photons.normal, row)
-        light = photons.light[row]
-        key = path_key(seed, BORDER_STREAM, row)
+        key = child_key(stream, row)
         for i in range(BORDER_RAYS):
             u, v = border_place(tables.light_kind[light], i, key)
             dx, dy, dz, distance, scale = light_sample(tables, light, px, py, pz, u, v)
@@ -106,35 +106,32 @@ def border_rays(tables, seed, photons, first, last, origin, direction, limit, ow
 
 
 @kernel
-def fill_cells(key, verdict, first, last, cells):
-    """Put cells into slots [first, last) of a ShadowCells' hash table, whose count is a power of two."""
-    mask = np.uint64(last - first - 1)
+def fill_slots(key, cells):
+    """Put cell i with key[i] (C,) u8 into a free slot of `cells`, whose number of slots is a power of two."""
+    mask = np.uint64(cells.key.shape[0] - 1)
     for i in range(key.shape[0]):
         slot = np.int64(mix(key[i]) & mask)
-        while cells.key[first + slot] != EMPTY:
+        while cells.key[slot] != EMPTY:
             slot = np.int64(np.uint64(slot + 1) & mask)
-        cells.key[first + slot] = key[i]
-        cells.verdict[first + slot] = verdict[i]
+        cells.key[slot] = key[i]
+        cells.cell[slot] = i
 
 
 @kernel
-def ask_cells(cells, light, points, first, last, verdict):
-    """LIT, HIDDEN or UNKNOWN of points [first, last) towards one light; verdict (last - first,) u1 is overwritten."""
-    begin = cells.first[light]
-    slots = cells.first[light + 1] - begin
-    mask = np.uint64(slots - 1)
-    cx, cy, cz = row3(cells.corner, light)
-    scale = cells.per_m[light]
+def find_cells(cells, points, first, last, cell):
+    """The cell that each point [first, last) lies in, -1 where none is known, into cell (last - first,) i4."""
+    mask = np.uint64(cells.key.shape[0] - 1)
+    scale = cells.per_m[0]
     for row in range(first, last):
-        answer = UNKNOWN
         px, py, pz = row3(points.position, row)
-        x, y, z = (px - cx) * scale, (py - cy) * scale, (pz - cz) * scale
-        if slots > 0 and min(x, y, z) >= 0.0 and max(x, y, z) < CELLS:
+        x, y, z = (px - cells.corner[0]) * scale, (py - cells.corner[1]) * scale, (pz - cells.corner[2]) * scale
+        found = -1
+        if min(x, y, z) >= 0.0 and max(x, y, z) < CELLS:
             i, j, k = np.uint64(math.floor(x)), np.uint64(math.floor(y)), np.uint64(math.floor(z))
             key = (i << np.uint64(2 * CELL_BITS)) | (j << np.uint64(CELL_BITS)) | k
             slot = np.int64(mix(key) & mask)
-            while cells.key[begin + slot] != EMPTY and cells.key[begin + slot] != key:
+            while cells.key[slot] != EMPTY and cells.key[slot] != key:
                 slot = np.int64(np.uint64(slot + 1) & mask)
-            if cells.key[begin + slot] == key:
-                answer = cells.verdict[begin + slot]
-        verdict[row - first] = answer
+            if cells.key[slot] == key:
+                found = cells.cell[slot]
+        cell[row - first] = found

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from joulebox_render.kernels.lighting import add_unblocked, shadow_rays
-from joulebox_render.kernels.shadow_photons import HIDDEN, LIT, UNKNOWN, ask_cells
+from joulebox_render.kernels.shadow_photons import HIDDEN, LIT, find_cells
 from joulebox_render.records import F4, F8, POINT_LIGHT, SPOT_LIGHT, U1, Points, rows
 from joulebox_render.stages.context import Context
 from joulebox_render.stages.shadow_photons import ShadowCells
@@ -53,7 +53,7 @@ def sample_lights(context: Context, points: Points, first: int, last: int, sampl
 def _sample_light(
     context: Context, light: int, points: Points, first: int, last: int, samples: int, radiance: F8, seen: bool = False
 ) -> int:
-    """Add one light at points [first, last) to radiance (last - first, 3); returns the samples taken.
+    """Add one light at points [first, last) to radiance (last - first, 3) f8; returns the samples taken.
 
     Where the light is known to be `seen`, none of them is traced.
     """
@@ -81,18 +81,17 @@ def _sample_unknown(
     """As sample_lights, but rays are traced only where the cells do not know what a light's samples would meet."""
     radiance = np.zeros((last - first, 3))
     traced = saved = 0
-    verdict: U1 = np.empty(last - first, np.uint8)
+    cell = np.empty(last - first, np.int32)
+    find_cells(cells, points, first, last, cell)
     for light in range(len(context.tables.light_kind)):
-        ask_cells(cells, light, points, first, last, verdict)
-        for kind in (UNKNOWN, LIT, HIDDEN):
-            chosen = np.flatnonzero(verdict == kind)
-            some = Points(*rows(points, chosen + first))
-            sums = np.ascontiguousarray(radiance[chosen])
-            if kind == HIDDEN:
-                # One sample a point tells how many of all would have been above the horizon.
-                saved += samples * _sample_light(context, light, some, 0, len(chosen), 1, sums, seen=True)
-                continue
-            taken = _sample_light(context, light, some, 0, len(chosen), samples, sums, seen=kind == LIT)
-            radiance[chosen] = sums
-            traced, saved = (traced, saved + taken) if kind == LIT else (traced + taken, saved)
+        verdict = cells.verdict[light, cell]
+        order = np.argsort(verdict, kind="stable")
+        lit, hidden = np.searchsorted(verdict[order], (LIT, HIDDEN))
+        ordered, sums = Points(*rows(points, first + order)), np.ascontiguousarray(radiance[order])
+        traced += _sample_light(context, light, ordered, 0, lit, samples, sums[:lit])
+        saved += _sample_light(context, light, ordered, lit, hidden, samples, sums[lit:hidden], seen=True)
+        # Where the light is hidden, one sample a point tells how many would have been above the horizon.
+        unseen = np.zeros((len(order) - hidden, 3))
+        saved += samples * _sample_light(context, light, ordered, hidden, len(order), 1, unseen, seen=True)
+        radiance[order] = sums
     return DirectLight(radiance, traced, saved)

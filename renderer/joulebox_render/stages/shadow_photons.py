@@ -1,10 +1,11 @@
 """Direct and shadow photons: where a light is surely seen or surely hidden, so that no shadow ray need ask.
 
 Rays leave the area lights as photons do. Where one first hits lies a direct photon; it then runs on through the scene
-and leaves a shadow photon on every further surface that faces the light (Jensen & Christensen 1995, "Efficient
-rendering with shadow photons"). Each photon then looks at its light's border, because that is what a penumbra loses
-first: a photon that sees all of it is lit, a shadow photon that sees none is hidden, any other lies in a penumbra.
-Space is cut into cells, and a cell is decided where enough photons lie in it and the 26 around it and all agree.
+and leaves a shadow photon on every further surface that faces it (Jensen & Christensen 1995, "Efficient rendering
+with shadow photons"). From where it lies each photon then looks at the border of every light, because that is what a
+penumbra loses first: where it sees all of it, the light is seen; where it sees none, hidden; else the photon lies in a
+penumbra. Of the light it came from, a direct photon never says hidden and a shadow photon never seen. Space is cut
+into cells, and a cell is decided where enough photons lie in it and the 26 around it and all agree.
 
 Point and spot lights cost one ray, which there is nothing to save on; the sky is in part hidden almost everywhere.
 Neither has photons here, and both are asked with rays. What is smaller than the distance between photons can be
@@ -23,6 +24,7 @@ from scipy.spatial import cKDTree
 from joulebox_render.kernels.lighting import emit_photons
 from joulebox_render.kernels.rng import path_key
 from joulebox_render.kernels.shadow_photons import (
+    ABSTAINS,
     BORDER_RAYS,
     CELL_BITS,
     CELLS,
@@ -32,7 +34,7 @@ from joulebox_render.kernels.shadow_photons import (
     UNKNOWN,
     border_rays,
     drop_photons,
-    fill_cells,
+    fill_slots,
 )
 from joulebox_render.records import (
     DISK_LIGHT,
@@ -59,9 +61,11 @@ THROUGH = 2
 # Surfaces that a ray runs through at most.
 MOST_SURFACES = 64
 # Photons in a cell of a surface that is lit like most, and those that a cell and its neighbours need to be decided.
-CELL_PHOTONS, LEAST_PHOTONS = 5.0, 16
+CELL_PHOTONS, LEAST_PHOTONS = 5.0, 8
 # The density of photons is measured by the distance to this neighbour, at about so many of them.
 DENSITY_NEIGHBOURS, DENSITY_PROBES = 12, 500
+# What makes a key of a cell's three numbers.
+STEP = np.array([1 << 2 * CELL_BITS, 1 << CELL_BITS, 1], np.int64)
 
 
 class LightPhotons(NamedTuple):
@@ -81,22 +85,21 @@ class LightPhotons(NamedTuple):
     def empty(cls, count: int) -> LightPhotons:
         """Room for `count` photons."""
         position, normal = np.empty((2, count, 3), np.float32)
-        return cls(
-            position, normal, np.empty(count, np.int32), np.empty(count, np.uint8), np.empty(count, np.int64)
-        )
+        return cls(position, normal, np.empty(count, np.int32), np.empty(count, np.uint8), np.empty(count, np.int64))
 
 
 class ShadowCells(NamedTuple):
-    """Cells in which a light is surely seen or hidden: a hash table a light.
+    """Cells in which lights are surely seen or hidden, found by hashing.
 
-    corner (L, 3) f8 [m] and per_m (L,) f8 [1/m]: a point lies in cell floor((point - corner) per_m); light l owns the
-    slots first[l] to first[l + 1] (L + 1,) i8 of key (S,) u8 and verdict (S,) u1 (LIT or HIDDEN).
+    corner (3,) f8 [m], per_m (1,) f8 [1/m]: a point lies in cell floor((point - corner) per_m); key (S,) u8 of the
+    cell in each slot and its number, cell (S,) i4; verdict (L, C + 1) u1: LIT, HIDDEN or UNKNOWN of each light in each
+    cell, and UNKNOWN where there is none, -1.
     """
 
     corner: F8
     per_m: F8
-    first: I8
     key: U8
+    cell: I4
     verdict: U1
 
 
@@ -113,15 +116,19 @@ class ShadowMap:
 
 
 def build_shadow_map(context: Context) -> ShadowMap:
-    """Emit direct and shadow photons, let them look at their lights, and decide cells."""
+    """Emit direct and shadow photons, let them look at the lights, and decide cells."""
     photons, emitted, traced = emit_through(context)
-    parts = list(context.pool.map_chunks(lambda a, b: _look_back(context, photons, a, b), len(photons.number), 8))
-    verdict = np.concatenate([part for part, _ in parts]) if parts else np.zeros(0, np.uint8)
+    count, lights = len(photons.number), context.tables.light_kind
+    vote: U1 = np.full((len(lights), count), ABSTAINS, np.uint8)
+    for light in np.flatnonzero(np.isin(lights, TESTED_LIGHTS)):
+
+        def chunk(first: int, last: int, light: int = int(light)) -> int:
+            return _look_back(context, light, photons, first, last, vote[light, first:last])
+
+        traced += sum(context.pool.map_chunks(chunk, count, BORDER_RAYS))
     direct = int((photons.is_shadow == 0).sum())
-    return ShadowMap(
-        decide_cells(photons, verdict, len(context.tables.light_kind)), direct, len(photons.number) - direct,
-        emitted, direct >= context.settings.direct_photons, traced + sum(rays for _, rays in parts),
-    )  # fmt: skip
+    complete = direct >= context.settings.direct_photons
+    return ShadowMap(decide_cells(photons.position, vote), direct, count - direct, emitted, complete, traced)
 
 
 def emit_through(context: Context) -> tuple[LightPhotons, int, int]:
@@ -184,71 +191,76 @@ def _run_through(context: Context, aim: Aim, first_number: int, count: int) -> t
     return LightPhotons(*rows(photons, np.argsort(photons.number, kind="stable"))), traced
 
 
-def _look_back(context: Context, photons: LightPhotons, first: int, last: int) -> tuple[U1, int]:
-    """What photons [first, last) see of their lights' borders, LIT, HIDDEN or UNKNOWN, and the rays traced."""
+def _look_back(context: Context, light: int, photons: LightPhotons, first: int, last: int, vote: U1) -> int:
+    """What photons [first, last) see of a light's border, into vote (last - first,); returns the rays traced."""
     room = (last - first) * BORDER_RAYS
     origin, direction = np.empty((2, room, 3), np.float32)
     limit, owner = np.empty(room, np.float32), np.empty(room, np.int64)
     count = border_rays(
-        context.tables, context.settings.seed, photons, first, last, origin, direction, limit, owner
+        context.tables, context.settings.seed, light, photons, first, last, origin, direction, limit, owner
     )
     blocked = context.intersector.occluded(origin[:count], direction[:count], limit[:count])
     asked = np.bincount(owner[:count], minlength=last - first)
     hidden = np.bincount(owner[:count], weights=blocked, minlength=last - first)
-    is_shadow = photons.is_shadow[first:last] == 1
-    verdict = np.full(last - first, UNKNOWN, np.uint8)
-    verdict[~is_shadow & (hidden == 0)] = LIT
-    verdict[is_shadow & (hidden == asked)] = HIDDEN
-    return verdict, count
+    own, is_shadow = photons.light[first:last] == light, photons.is_shadow[first:last] == 1
+    vote[:] = UNKNOWN
+    vote[(hidden == asked) & ~(own & ~is_shadow)] = HIDDEN
+    vote[(hidden == 0) & ~(own & is_shadow)] = LIT
+    vote[(asked == 0) & ~own] = ABSTAINS
+    return int(count)
 
 
-def decide_cells(photons: LightPhotons, verdict: U1, lights: int) -> ShadowCells:
-    """Cells around which photons agree, for each of `lights` lights; verdict (N,) is what each photon sees."""
-    corner, per_m = np.zeros((lights, 3)), np.zeros(lights)
-    decided: list[tuple[U8, U1]] = []
-    for light in range(lights):
-        own = photons.light == light
-        position, seen = photons.position[own].astype(np.float64), verdict[own]
-        side = cell_side(position)
-        decided.append((np.zeros(0, np.uint64), np.zeros(0, np.uint8)))
-        if side > 0.0:
-            # Neither the boundary of a cell nor the first cell lies where a wall is likely to.
-            corner[light], per_m[light] = position.min(axis=0) - 1.382 * side, 1.0 / side
-            decided[-1] = _agreed(np.floor((position - corner[light]) * per_m[light]).astype(np.int64), seen)
-    slots = [1 << int(2 * len(key)).bit_length() if len(key) else 0 for key, _ in decided]
-    first = np.concatenate([[0], np.cumsum(slots)]).astype(np.int64)
-    cells = ShadowCells(corner, per_m, first, np.full(first[-1], EMPTY), np.zeros(first[-1], np.uint8))
-    for light, (key, answer) in enumerate(decided):
-        fill_cells(key, answer, first[light], first[light + 1], cells)
+def decide_cells(position: F4, vote: U1) -> ShadowCells:
+    """Cells around which photons at position (N, 3) agree in vote (L, N) on one light or more."""
+    side = cell_side(position)
+    # Neither the boundary of a cell nor the first cell lies where a wall is likely to.
+    corner = position.min(axis=0).astype(np.float64) - 1.382 * side if side > 0.0 else np.zeros(3)
+    cell = np.floor((position - corner) / (side or 1.0)).astype(np.int64)[: len(position) if side > 0.0 else 0]
+    key, row = np.unique(cell @ STEP, return_inverse=True)
+    neighbours = _neighbours(key)
+    verdict = np.array([_agreed(neighbours, row, len(key), votes[: len(cell)]) for votes in vote], np.uint8)
+    known = (verdict != UNKNOWN).any(axis=0)
+    slots = 1 << int(2 * known.sum()).bit_length()
+    cells = ShadowCells(
+        corner, np.array([1.0 / (side or 1.0)]), np.full(slots, EMPTY), np.zeros(slots, np.int32),
+        np.pad(verdict[:, known], ((0, 0), (0, 1))),
+    )  # fmt: skip
+    fill_slots(key[known].astype(np.uint64), cells)
     return cells
 
 
-def cell_side(position: F8) -> float:
+def cell_side(position: F4) -> float:
     """Side of a cell that holds CELL_PHOTONS at the photons' median density on surfaces [m]; 0 for too few photons."""
     if len(position) < LEAST_PHOTONS:
         return 0.0
     probes = position[:: max(1, len(position) // DENSITY_PROBES)]
-    distance, _ = cKDTree(position).query(probes, k=[DENSITY_NEIGHBOURS + 1])
+    distance, _ = cKDTree(position).query(probes, k=[min(DENSITY_NEIGHBOURS, len(position) - 1) + 1])
     area = np.pi * float(np.median(distance)) ** 2 / DENSITY_NEIGHBOURS
     return max(float(np.sqrt(CELL_PHOTONS * area)), float(np.ptp(position, axis=0).max()) / (CELLS - 4))
 
 
-def _agreed(cell: I8, verdict: U1) -> tuple[U8, U1]:
-    """Keys and verdicts of the cells in which, and in whose neighbours, photons agree; cell (N, 3) of each photon."""
-    step = np.array([1 << 2 * CELL_BITS, 1 << CELL_BITS, 1], np.int64)
-    key, row = np.unique(cell @ step, return_inverse=True)
-    counts = np.stack([np.bincount(row, verdict == kind, len(key)) for kind in (UNKNOWN, LIT, HIDDEN)], axis=1)
+def _neighbours(key: I8) -> list[tuple[I8, I8]]:
+    """For each of 27 offsets, itself among them, the rows of cells with a neighbour there, and its rows."""
+    pairs = []
+    for offset in np.ndindex(3, 3, 3) if len(key) else ():
+        wanted = key + (np.array(offset) - 1) @ STEP
+        place = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
+        here = np.flatnonzero(key[place] == wanted)
+        pairs.append((here, place[here]))
+    return pairs
+
+
+def _agreed(neighbours: list[tuple[I8, I8]], row: I8, cells: int, votes: U1) -> U1:
+    """LIT or HIDDEN where enough votes (N,) by photons in cells `row` (N,) and around agree, else UNKNOWN."""
+    counts = np.stack([np.bincount(row, votes == kind, cells) for kind in (UNKNOWN, LIT, HIDDEN)], axis=1)
     around = np.zeros_like(counts)
-    for offset in np.ndindex(3, 3, 3):
-        neighbour = key + (np.array(offset) - 1) @ step
-        place = np.minimum(np.searchsorted(key, neighbour), len(key) - 1)
-        around += counts[place] * (key[place] == neighbour)[:, None]
+    for here, there in neighbours:
+        around[here] += counts[there]
     total = around.sum(axis=1)
-    agreed = np.zeros(len(key), np.uint8)
+    verdict = np.full(cells, UNKNOWN, np.uint8)
     for kind in (LIT, HIDDEN):
-        agreed[(around[:, kind] == total) & (total >= LEAST_PHOTONS)] = kind
-    known = agreed != UNKNOWN
-    return key[known].astype(np.uint64), agreed[known]
+        verdict[(around[:, kind] == total) & (total >= LEAST_PHOTONS)] = kind
+    return verdict
 
 
 def _join(parts: list[LightPhotons]) -> LightPhotons:
