@@ -23,7 +23,6 @@ class DirectLight(NamedTuple):
 
 def light_directly(context: Context, points: Points, cells: ShadowCells | None = None) -> DirectLight:
     """Reflected radiance of light that arrives unscattered; `cells` tell where no shadow rays are needed."""
-    lights = len(context.tables.light_kind)
     samples = context.settings.shadow_rays
 
     def chunk(first: int, last: int) -> DirectLight:
@@ -31,7 +30,8 @@ def light_directly(context: Context, points: Points, cells: ShadowCells | None =
             return DirectLight(*sample_lights(context, points, first, last, samples), 0)
         return _sample_unknown(context, cells, points, first, last, samples)
 
-    chunks = list(context.pool.map_chunks(chunk, len(points.owner), samples * max(1, lights)))
+    # A chunk holds the rays to one light at a time.
+    chunks = list(context.pool.map_chunks(chunk, len(points.owner), samples))
     if not chunks:
         return DirectLight(np.zeros((0, 3)), 0, 0)
     radiance, traced, saved = zip(*chunks, strict=True)
