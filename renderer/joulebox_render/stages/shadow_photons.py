@@ -218,7 +218,9 @@ def decide_cells(position: F4, vote: U1) -> ShadowCells:
     cell = np.floor((position - corner) / (side or 1.0)).astype(np.int64)[: len(position) if side > 0.0 else 0]
     key, row = np.unique(cell @ STEP, return_inverse=True)
     neighbours = _neighbours(key)
-    verdict = np.array([_agreed(neighbours, row, len(key), votes[: len(cell)]) for votes in vote], np.uint8)
+    verdict = np.zeros((len(vote), len(key)), np.uint8)
+    for light, votes in enumerate(vote):
+        verdict[light] = _agreed(neighbours, row, len(key), votes[: len(cell)])
     known = (verdict != UNKNOWN).any(axis=0)
     slots = 1 << int(2 * known.sum()).bit_length()
     cells = ShadowCells(
