@@ -225,7 +225,7 @@ def decide_cells(position: F4, vote: U1) -> ShadowCells:
     slots = 1 << int(2 * known.sum()).bit_length()
     cells = ShadowCells(
         corner, np.array([1.0 / (side or 1.0)]), np.full(slots, EMPTY), np.zeros(slots, np.int32),
-        np.pad(verdict[:, known], ((0, 0), (0, 1))),
+        np.ascontiguousarray(np.pad(verdict[:, known], ((0, 0), (0, 1)))),
     )  # fmt: skip
     fill_slots(key[known].astype(np.uint64), cells)
     return cells
