@@ -8,7 +8,7 @@ import numpy as np
 
 from joulebox_render.kernels.lighting import add_unblocked, shadow_rays
 from joulebox_render.kernels.shadow_photons import HIDDEN, LIT, find_cells
-from joulebox_render.records import F4, F8, POINT_LIGHT, SPOT_LIGHT, U1, Points, rows
+from joulebox_render.records import F8, POINT_LIGHT, SPOT_LIGHT, U1, Points, rows
 from joulebox_render.stages.context import Context
 from joulebox_render.stages.shadow_photons import ShadowCells
 
@@ -60,18 +60,18 @@ def _sample_light(
     tables = context.tables
     count = 1 if tables.light_kind[light] in (POINT_LIGHT, SPOT_LIGHT) else samples
     room = (last - first) * count
-    origin, direction, value = (np.empty((room, 3), np.float32) for _ in range(3))
-    limit: F4 = np.empty(room, np.float32)
+    origin, direction = np.empty((2, room, 3), np.float32)
+    limit, weight = np.empty((2, room), np.float32)
     owner = np.empty(room, np.int32)
     written = shadow_rays(
         tables, light, count, context.columns(count), points, first, last,
-        origin, direction, limit, value, owner,
+        origin, direction, limit, weight, owner,
     )  # fmt: skip
     if seen:
         blocked: U1 = np.zeros(written, np.uint8)
     else:
         blocked = context.intersector.occluded(origin[:written], direction[:written], limit[:written])
-    add_unblocked(blocked, value, owner, radiance)
+    add_unblocked(tables, light, points, first, blocked, weight, owner, radiance)
     return int(written)
 
 
