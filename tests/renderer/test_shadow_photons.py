@@ -15,11 +15,13 @@ import numpy as np
 import pytest
 from joulebox_render import integrator
 from joulebox_render.bench import shadow_test_report
+from joulebox_render.kernels.lighting import shadow_rays as light_rays
 from joulebox_render.kernels.shadow_photons import HIDDEN, LIT, UNKNOWN, find_cells
 from joulebox_render.plan import make_plan
 from joulebox_render.records import Points
 from joulebox_render.scene import load_scene
 from joulebox_render.settings import make_settings
+from joulebox_render.stages.eye import look
 from joulebox_render.stages.shadow_photons import build_shadow_map, emit_through
 
 Render = Callable[..., Any]
@@ -143,6 +145,32 @@ def test_direct_photons_lie_in_the_light_and_shadow_photons_behind_them(make_sce
     assert is_shadow.sum() > 500
     blocked = photons.number[~is_shadow & ~on_plane]
     assert set(photons.number[is_shadow]) == set(blocked), "the shadow of the blocker falls on the plane whole"
+
+
+@pytest.mark.parametrize("scene", ["cornell-boxes", "many-lights"])
+def test_penumbrae_that_rays_find_are_left_to_rays(open_session: Open, scene: str) -> None:
+    """At least 99.9 % of what eye rays see and 144 rays find partly lit by a light is unknown to the map."""
+    session = open_session(scene, **{**DIRECT, **ON, "width": 64, "height": 64})
+    context, rays = session.context, 144
+    points = look(context, session.scene.camera, 0, 64 * 64).direct
+    count = len(points.owner)
+    partly = decided = 0
+    for light in range(len(context.tables.light_kind)):
+        origin, direction = np.empty((2, count * rays, 3), np.float32)
+        limit, weight = np.empty((2, count * rays), np.float32)
+        owner = np.empty(count * rays, np.int32)
+        written = light_rays(
+            context.tables, light, rays, context.columns(rays), points, 0, count,
+            origin, direction, limit, weight, owner,
+        )  # fmt: skip
+        blocked = context.intersector.occluded(origin[:written], direction[:written], limit[:written])
+        asked = np.bincount(owner[:written], minlength=count)
+        hidden = np.bincount(owner[:written], blocked, count)
+        penumbra = (hidden > 0) & (hidden < asked)
+        partly += int(penumbra.sum())
+        decided += int((verdicts(session, points.position, light)[penumbra] != UNKNOWN).sum())
+    assert partly > 200
+    assert decided <= 0.001 * partly
 
 
 # --- pictures ---
