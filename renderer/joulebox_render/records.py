@@ -288,7 +288,7 @@ def _f4(count: int) -> F4:
 
 
 def rows(
-    record: Rays | Points | Photons | Hits, selection: slice | npt.NDArray[np.integer | np.bool_]
+    record: NamedTuple, selection: slice | npt.NDArray[np.integer | np.bool_]
 ) -> tuple[Any, ...]:
     """The selected rows of every column of a record; give it to the record's class.
 
