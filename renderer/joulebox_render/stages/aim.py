@@ -48,9 +48,12 @@ def aim_at_specular(tables: SceneTables) -> Aim:
     cells, shares = [], []
     for light in range(len(tables.light_kind)):
         marked = _marked_cells(tables, light, balls)
-        everything = marked is None or marked.all()
-        cells.append(np.zeros(0, np.int32) if everything else np.flatnonzero(marked).astype(np.int32))
-        shares.append(1.0 if everything else len(cells[-1]) / (AIM_ROWS * AIM_COLUMNS))
+        if marked is None or marked.all():
+            cells.append(np.zeros(0, np.int32))
+            shares.append(1.0)
+        else:
+            cells.append(np.flatnonzero(marked).astype(np.int32))
+            shares.append(len(cells[-1]) / (AIM_ROWS * AIM_COLUMNS))
     return _aim(tables, cells, np.array(shares))
 
 
@@ -146,4 +149,5 @@ def _directions(tables: SceneTables, light: int, kind: int, u: F8, v: F8) -> F8:
         return local
     normal = [float(x) for x in tables.light_normal[light]]
     frame = np.array([from_frame(*normal, *axis) for axis in np.eye(3).tolist()])
-    return local @ frame
+    turned: F8 = local @ frame
+    return turned

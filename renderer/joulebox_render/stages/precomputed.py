@@ -142,7 +142,7 @@ def precompute_irradiance(context: Context, photons: PhotonMap) -> IrradianceRec
 
 
 def hides_photons(context: Context, photons: PhotonMap, position: F4, normal: F4, estimates: Estimates) -> U1:
-    """Whether something stands between points and photons of their estimates, (N,) bool: a wall thinner than the disc.
+    """Whether something stands between points and photons of their estimates, (N,) u1: a wall thinner than the disc.
 
     A few photons of each estimate are looked at. Sight lines run a tenth of their length above the surface, clear of
     what it curves.
@@ -154,7 +154,7 @@ def hides_photons(context: Context, photons: PhotonMap, position: F4, normal: F4
         photons.tree, estimates.witness, position, normal, float(context.tables.epsilon[0]), SIGHT_LIFT,
         origin, direction, limit,
     )  # fmt: skip
-    hidden: U1 = context.intersector.occluded(origin, direction, limit).reshape(-1, WITNESSES).any(axis=1)
+    hidden: U1 = context.intersector.occluded(origin, direction, limit).reshape(-1, WITNESSES).max(axis=1)
     return hidden
 
 
