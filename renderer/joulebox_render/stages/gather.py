@@ -21,7 +21,7 @@ NOT_BENT: F4 = np.empty((0, CELL_ROWS * CELL_COLUMNS), np.float32)
 # No path is followed through more diffuse bounces; Russian roulette ends nearly all long before.
 MAX_PATH_BOUNCES = 1000
 # A gather ray's stretches shorter than the photon map's resolution that are gathered again before it is asked.
-MOST_SHORT = 32
+MOST_SHORT = 8
 
 
 def final_gather(context: Context, light: Illumination, points: Points, count: int) -> tuple[F8, int]:
