@@ -56,7 +56,7 @@ class Settings(BaseModel):
         30.0, gt=0, le=90, description="[degree] photons on surfaces turned away by more do not count"
     )
     gather_filter: Literal["constant", "cone", "epanechnikov"] = Field(
-        "constant", description="weight of photons over the gather disc"
+        "constant", description="weight of photons over the gather disc of the global map; caustics always use the cone"
     )
     photon_spacing: int = Field(
         4, ge=0, le=1_000_000, description="precompute irradiance at every nth photon; 0: estimate it at every look-up"

@@ -21,19 +21,22 @@ Values = Mapping[str, Any]
 NAMED = ("draft", "balanced", "fine")  # the presets that must lie on the front
 FRONT: list[Values] = [
     *({"preset": name} for name in NAMED),
-    {"samples_per_pixel": 1, "shadow_rays": 16, "final_gather_rays": 16},
-    {"samples_per_pixel": 1, "shadow_rays": 36, "final_gather_rays": 36},
-    {"samples_per_pixel": 1, "shadow_rays": 64, "final_gather_rays": 100},
-    {"samples_per_pixel": 4, "shadow_rays": 4, "final_gather_rays": 4},
-    {"samples_per_pixel": 4, "shadow_rays": 9, "final_gather_rays": 9, "global_photons": 50_000},
-    {"samples_per_pixel": 4, "shadow_rays": 16, "final_gather_rays": 16},
-    {"samples_per_pixel": 9, "shadow_rays": 9, "final_gather_rays": 9},
-    {"samples_per_pixel": 9, "shadow_rays": 16, "final_gather_rays": 16, "global_photons": 200_000},
-    {"samples_per_pixel": 4, "shadow_rays": 16, "irradiance_cache_tolerance": 0.2},
-    {"samples_per_pixel": 9, "shadow_rays": 16, "irradiance_cache_tolerance": 0.1},
-    {"samples_per_pixel": 4, "shadow_rays": 9, "final_gather_rays": 9, "sampler": "sobol"},
-    {"samples_per_pixel": 9, "shadow_rays": 9, "final_gather_rays": 9, "sampler": "sobol"},
-]
+    {"preset": "draft", "samples_per_pixel": 2, "shadow_rays": 4, "global_photons": 20_000},
+    {"preset": "draft", "samples_per_pixel": 2, "shadow_rays": 4, "caustic_photons": 60_000},
+    {"preset": "draft", "final_gather_rays": 100, "global_photons": 20_000},
+    {"preset": "draft", "final_gather_rays": 256, "caustic_photons": 60_000},
+    {"preset": "draft", "irradiance_cache_tolerance": 1.5},
+    {"preset": "draft", "irradiance_cache_tolerance": 1.5, "final_gather_rays": 256, "caustic_photons": 60_000},
+    {"irradiance_cache_tolerance": 1.2, "samples_per_pixel": 4},
+    {"irradiance_cache_tolerance": 1.2, "final_gather_rays": 400},
+    {"final_gather_rays": 400},
+    {"final_gather_rays": 400, "global_photons": 200_000},
+    {"irradiance_cache_tolerance": 0.3},
+    {"samples_per_pixel": 4, "shadow_rays": 4, "irradiance_cache_tolerance": 0, "final_gather_rays": 16},
+    {"samples_per_pixel": 9, "shadow_rays": 9, "irradiance_cache_tolerance": 0, "final_gather_rays": 25},
+    {"samples_per_pixel": 9, "shadow_rays": 9, "irradiance_cache_tolerance": 0, "final_gather_rays": 25,
+     "sampler": "stratified"},
+]  # fmt: skip
 # A picture below this is rendered once to warm up and WARM_TURNS times to be timed; a dearer one once.
 WARM_BELOW_CPU_S = 1.5
 WARM_TURNS = 3

@@ -22,11 +22,11 @@ NO_EMBREE = "embreex is not installed"
 SHARES = (
     ("direct", "shadow rays, whole direct stage, of bare embreex on the same rays", ">= 60 %", 0.60),
     ("indirect", "final gather (trace, lookup, accumulate), of bare closest hits",
-     ">= 25 % with exact nearest lookup, >= 45 % with a table", 0.25),
+     ">= 45 % (with a table)", 0.45),
     ("photon_map, emission", "photon tracing, of bare closest hits", ">= 35 %", 0.35),
 )  # fmt: skip
 # A cache of irradiance would leave few gather rays to measure.
-RATE_SETTINGS = {"threads": 1, "samples_per_pixel": 1, "irradiance_cache_tolerance": 0.0}
+RATE_SETTINGS = {"threads": 1, "samples_per_pixel": 1, "shadow_rays": 36, "irradiance_cache_tolerance": 0.0}
 GATHER_SETTINGS = {
     "threads": 1, "samples_per_pixel": 1, "shadow_rays": 1, "indirect": "direct_visualization",
     "global_photons": 250_000, "gather_count": 100, "gather_distance_m": 0.02, "photon_spacing": 0,

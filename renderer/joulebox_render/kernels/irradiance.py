@@ -155,32 +155,34 @@ def clamp_neighbours(cache, grid, reach):
 
 
 @kernel
-def interpolate_irradiance(cache, grid, tolerance, gradients, points, irradiance, found):
-    """Irradiance (N, 3) f4 at points from the records that are good enough there; found (N,) u1, 0 where none is.
+def interpolate_irradiance(cache, grid, tolerance, gradients, points, irradiance, radius):
+    """Irradiance (N, 3) f4 at points from the records that are good enough there, and their mean radius (N,) f4 [m].
 
-    w_i = 1 / (|x - x_i| / R_i + sqrt(1 - n . n_i)) - 1 / tolerance, where that is positive; records' order in the
+    radius is 0 where no record is good enough. w_i = 1 / (|x - x_i| / R_i + sqrt(1 - n . n_i)) - 1 / tolerance, where that is positive; records' order in the
     grid is fixed, so sums do not depend on how the points were cut into chunks.
     """
     least = 1.0 / tolerance
     for q in range(points.owner.shape[0]):
         x, y, z = row3(points.position, q)
         nx, ny, nz = row3(points.normal, q)
-        red, green, blue, weight_sum = 0.0, 0.0, 0.0, 0.0
+        red, green, blue, weight_sum, radius_sum = 0.0, 0.0, 0.0, 0.0, 0.0
         bucket = bucket_at(grid, x, y, z)
         for m in range(grid.first[bucket], grid.first[bucket + 1]):
             i = grid.member[m]
+            # Two of a record's cells may have one bucket; the two entries then follow each other.
+            if m > grid.first[bucket] and grid.member[m - 1] == i:
+                continue
             dx, dy, dz = x - cache.position[i, 0], y - cache.position[i, 1], z - cache.position[i, 2]
             d2 = dx * dx + dy * dy + dz * dz
-            radius = cache.radius[i]
-            reach = tolerance * radius
-            if d2 >= reach * reach:
+            r = cache.radius[i]
+            if d2 >= (tolerance * r) ** 2:
                 continue
             mx, my, mz = row3(cache.normal, i)
             cosine = nx * mx + ny * my + nz * mz
-            error = math.sqrt(d2) / radius + math.sqrt(max(0.0, 1.0 - cosine))
+            error = math.sqrt(d2) / r + math.sqrt(max(0.0, 1.0 - cosine))
             if error >= tolerance:
                 continue
-            if dx * (nx + mx) + dy * (ny + my) + dz * (nz + mz) < -2.0 * BEHIND * radius:
+            if dx * (nx + mx) + dy * (ny + my) + dz * (nz + mz) < -2.0 * BEHIND * r:
                 continue
             weight = 1.0 / max(error, 1e-6) - least
             er, eg, eb = row3(cache.irradiance, i)
@@ -194,8 +196,9 @@ def interpolate_irradiance(cache, grid, tolerance, gradients, points, irradiance
             green += weight * max(0.0, eg)
             blue += weight * max(0.0, eb)
             weight_sum += weight
-        found[q] = weight_sum > 0.0
+            radius_sum += weight * r
         scale = 1.0 / weight_sum if weight_sum > 0.0 else 0.0
+        radius[q] = radius_sum * scale
         set_row3(irradiance, q, red * scale, green * scale, blue * scale)
 
 

@@ -56,12 +56,13 @@ def global_estimate(context: Context, photons: PhotonMap) -> DensityEstimate:
 def caustic_estimate(context: Context, photons: PhotonMap) -> DensityEstimate:
     """The estimate that the settings ask for in the caustic map, with its own count and distance.
 
-    It is not corrected at edges: a caustic seldom fills its disc anyway, and what it lacks is no surface.
+    Its filter is always the cone, which keeps the edges of caustics (Jensen 2001, section 7.2). It is not corrected at
+    edges: a caustic seldom fills its disc anyway, and what it lacks is no surface.
     """
     settings = context.settings
     return DensityEstimate(
         photons, settings.caustic_gather_count, settings.caustic_gather_distance_m,
-        math.cos(math.radians(settings.normal_angle_deg)), FILTERS[settings.gather_filter],
+        math.cos(math.radians(settings.normal_angle_deg)), FILTERS["cone"],
     )  # fmt: skip
 
 

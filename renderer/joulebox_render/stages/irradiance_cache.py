@@ -32,10 +32,13 @@ STEPS = (16, 8, 4, 2)
 LEAST_PIXELS, MOST_PIXELS = 0.7, 20.0
 # Records are placed at this share of the tolerance that they are used with, so that several blend at every point.
 PLACING = 0.6
+# A point must have this much of its records' radius free above it. Records that saw what is above reach no farther than it
+# is away, so that theirs is.
+HEADROOM = 0.25
 # Rays of a gather where no record reaches.
 LEAST_RAYS = 16
 # A point costs about as much as this many rays.
-RAYS_PER_LOOKUP = 2
+RAYS_PER_LOOKUP = 3
 
 
 class CacheRecords(NamedTuple):
@@ -149,16 +152,20 @@ def _list_records(records: CacheRecords, tolerance: float) -> CacheGrid:
 def interpolate(context: Context, cache: IrradianceCache, points: Points, share: float = 1.0) -> tuple[F4, U1]:
     """Irradiance (N, 3) f4 at points, and found (N,) u1: 0 where no record is good enough.
 
-    `share` of the tolerance is what counts as good enough.
+    `share` of the tolerance is what counts as good enough. Records of open places do not speak for a point close under
+    something they hardly saw, as in a gap: one ray along the normal tells.
     """
     settings = context.settings
     irradiance, found = np.empty((len(points.owner), 3), np.float32), np.empty(len(points.owner), np.uint8)
 
     def chunk(first: int, last: int) -> None:
+        radius = np.empty(last - first, np.float32)
         interpolate_irradiance(
             cache.records, cache.grid, share * settings.irradiance_cache_tolerance, settings.irradiance_gradients,
-            Points(*rows(points, slice(first, last))), irradiance[first:last], found[first:last],
+            Points(*rows(points, slice(first, last))), irradiance[first:last], radius,
         )  # fmt: skip
+        under = context.intersector.occluded(points.position[first:last], points.normal[first:last], HEADROOM * radius)
+        found[first:last] = (radius > 0) & (under == 0)
 
     for _ in context.pool.map_chunks(chunk, len(points.owner), RAYS_PER_LOOKUP):
         pass
