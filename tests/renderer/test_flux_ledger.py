@@ -13,8 +13,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from joulebox_render.kernels.rng import path_key
 from joulebox_render.records import Photons
 from joulebox_render.stages import photon_map
+from joulebox_render.stages.aim import aim_everywhere
 from joulebox_render.stages.photon_map import BOUNCED, CAUSTIC, FIRST_HIT, emit_and_store
 
 COUNT = 20_000
@@ -40,7 +42,8 @@ def diffuse(reflectance: str) -> str:
 
 def trace(session: Any, count: int = COUNT) -> Photons:
     """All photons that `count` emissions leave behind."""
-    return photon_map._trace_photons(session.context, 0, count)[0]
+    family = np.uint64(path_key(session.settings.seed, photon_map.EMISSION_STREAM, photon_map.EVERYWHERE))
+    return photon_map._trace_photons(session.context, aim_everywhere(session.context.tables), family, 0, count)[0]
 
 
 def flux_per_emission(photons: Photons, count: int = COUNT) -> Any:

@@ -103,7 +103,11 @@ def test_each_kernel_is_compiled_once(make_scene: Callable[..., Path]) -> None:
     )
     mesh = '<shape type="cube"><boolean name="flip_normals" value="true"/></shape><emitter type="spot"/>'
     scenes = ["cornell-boxes", "cornell-spheres", "caustic-ring", "many-lights", "furnace"]
-    scenes += [str(make_scene(sphere)), str(make_scene(mesh))]
+    glossy = (
+        '<shape type="cube"><boolean name="flip_normals" value="true"/></shape>'
+        '<shape type="sphere"><float name="radius" value="0.1"/><bsdf type="phong"/></shape><emitter type="constant"/>'
+    )
+    scenes += [str(make_scene(body)) for body in (sphere, mesh, glossy)]
     script = """
 import importlib, json, sys
 from joulebox_render.session import Session
@@ -113,7 +117,7 @@ small = {"width": 5, "height": 4, "samples_per_pixel": 2, "global_photons": 300,
 methods = [{"indirect": "none"}, {"indirect": "path", "jitter": False, "shadow_rays": 7}, {"photon_spacing": 0},
            {"indirect": "direct_visualization", "gather_filter": "cone", "sampler": "independent"},
            {"gather_filter": "epanechnikov", "store_at_every_bounce": False, "width": 9},
-           {"caustics": False}]
+           {"irradiance_cache_tolerance": 0.5, "sampler": "sobol", "caustic_hints": True}, {"caustics": False}]
 names, scenes = json.loads(sys.argv[1]), json.loads(sys.argv[2])
 for scene in scenes:
     for method in methods:
