@@ -15,18 +15,17 @@ from joulebox_render.clock import StageClock
 from joulebox_render.kernels.gathering import add_weighted
 from joulebox_render.records import F4, F8, Camera, Points
 from joulebox_render.stages.context import Context
-from joulebox_render.stages.direct import light_directly
-from joulebox_render.stages.eye import look
-from joulebox_render.stages.gather import (
+from joulebox_render.stages.density import (
     Illumination,
     IrradianceRecords,
     caustic_estimate,
-    final_gather,
     global_estimate,
     precompute_irradiance,
     show_photons,
-    trace_paths,
 )
+from joulebox_render.stages.direct import light_directly
+from joulebox_render.stages.eye import look
+from joulebox_render.stages.gather import final_gather, trace_paths
 from joulebox_render.stages.irradiance_cache import IrradianceCache, cached_gather, fill_cache
 from joulebox_render.stages.photon_map import PhotonMap, build_photon_map, emit_and_store
 
@@ -140,7 +139,7 @@ def indirect_light(context: Context, maps: Maps, points: Points) -> tuple[F8, in
     light = illumination(context, maps)
     if maps.cache is not None:
         return cached_gather(context, maps.cache, light, points)
-    return final_gather(context, light, points)
+    return final_gather(context, light, points, context.settings.final_gather_rays)
 
 
 def illumination(context: Context, maps: Maps) -> Illumination:

@@ -21,6 +21,7 @@ class Plan:
     specular_recursion: bool
     glossy: bool
     irradiance_cache: bool
+    importance_sampling: bool
     left_out: dict[str, str] = field(default_factory=dict)
     indirect: bool = True
 
@@ -60,6 +61,8 @@ def make_plan(scene: Scene, settings: Settings, force_all: bool = False) -> Plan
             if settings.indirect == "final_gather"
             else "nothing uses it without final gathering"
         )
+    if settings.indirect == "final_gather" and not settings.importance_sampling:
+        left_out["importance_sampling"] = "importance_sampling=false"
     caustics = _caustic_reason(settings, specular)
     if caustics:
         left_out["caustics"] = caustics
@@ -76,6 +79,7 @@ def make_plan(scene: Scene, settings: Settings, force_all: bool = False) -> Plan
         specular_recursion=specular,
         glossy=force_all or PHONG in used,
         irradiance_cache=cached,
+        importance_sampling=settings.importance_sampling and settings.indirect == "final_gather",
         left_out=left_out,
         indirect=settings.indirect != "none",
     )

@@ -243,24 +243,24 @@ class Tree(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """What one thread's tree search writes: nodes yet to be visited with the squared distance to each, and a heap of
-    the nearest points found.
+    """What one thread's tree search writes: nodes yet to be visited with the squared distance to each, and the
+    candidates for the nearest points.
 
-    node, low, high (64,) i8, offset2 (64,) f8: deep enough for any tree; distance2 (k,) f4, row (k,) i4.
+    node, low, high (64,) i8, offset2 (64,) f8: deep enough for any tree; candidates (C,) i8, C well over k, each
+    a squared distance and a row (see kernels.kdtree.candidate).
     """
 
     node: I8
     low: I8
     high: I8
     offset2: F8
-    distance2: F4
-    row: I4
+    candidates: I8
 
     @classmethod
     def empty(cls, k: int) -> Scratch:
-        """Room to find `k` points."""
+        """Room to find `k` points: cutting 4 k candidates down to k costs little more than having found them."""
         node, low, high = np.empty((3, 64), np.int64)
-        return cls(node, low, high, np.empty(64), np.empty(k, np.float32), np.empty(k, np.int32))
+        return cls(node, low, high, np.empty(64), np.empty(4 * k + 64, np.int64))
 
 
 def _f4(count: int) -> F4:

@@ -12,11 +12,12 @@ from typing import Any
 
 import psutil
 
-from joulebox_render import __version__, intersect
+from joulebox_render import __version__
 from joulebox_render.clock import Interval, StageClock
 from joulebox_render.errors import RenderError
 from joulebox_render.images import pixel_sha256
 from joulebox_render.integrator import Rendering, render_image
+from joulebox_render.intersect import Intersector
 from joulebox_render.kernels import compilation
 from joulebox_render.plan import Plan, make_plan
 from joulebox_render.pool import CHUNK_RAYS, WorkerPool
@@ -54,7 +55,8 @@ class Image:
 class Session:
     """Everything that happens before the first photon: load, build, compile; then `render` as often as wanted.
 
-    Settings are resolved: width and height come from the scene's film where they are not set.
+    Settings are resolved: width and height come from the scene's film where they are not set. `intersector` is
+    "embree", "bvh", or "auto" for Embree where there is one.
     """
 
     def __init__(
@@ -64,6 +66,7 @@ class Session:
         defines: Mapping[str, str] | None = None,
         force_all: bool = False,
         chunk_rays: int = CHUNK_RAYS,
+        intersector: str = "auto",
     ) -> None:
         start = time.perf_counter()
         self.scene: Scene = load_scene(scene, defines or {})
@@ -75,11 +78,11 @@ class Session:
         )
         tables = scene_tables(self.scene)
         loaded = time.perf_counter()
-        intersector = intersect.Intersector(tables)
+        queries = Intersector(tables, intersector)
         built = time.perf_counter()
         self.plan: Plan = make_plan(self.scene, self.settings, force_all)
         self._pool = WorkerPool(self.settings.threads, chunk_rays)
-        self.context = Context(tables, intersector, self.settings, self.plan, self._pool)
+        self.context = Context(tables, queries, self.settings, self.plan, self._pool)
         self._warm_up()
         compiled = time.perf_counter()
         self.setup = {
@@ -125,7 +128,7 @@ class Session:
     def build(self) -> dict[str, Any]:
         """What made the picture."""
         return {
-            "name": "joulebox-render", "version": __version__, "intersector": intersect.NAME,
+            "name": "joulebox-render", "version": __version__, "intersector": self.context.intersector.name,
             "isa": compilation.ISA, "threads": self._pool.threads,
         }  # fmt: skip
 

@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from joulebox_render.kernels.gathering import kernel_weight, nearest_irradiance
+from joulebox_render.kernels.gathering import kernel_weight
+from joulebox_render.kernels.lookup import nearest_irradiance
 from joulebox_render.records import Photons, Scratch
-from joulebox_render.stages.gather import FILTERS, DensityEstimate
+from joulebox_render.stages.density import FILTERS, DensityEstimate
 from joulebox_render.stages.photon_map import PhotonMap, build_photon_map, grow_tree
 
 DENSITY = 10_000.0
@@ -55,7 +56,7 @@ def lattice(width_m: float, step_m: float) -> Any:
 def estimates(photons: PhotonMap, at: Any, k: int, reach_m: float, kind: str, normal: Any = (0, 0, 1)) -> Any:
     """Irradiance (N, 3) at points facing `normal`."""
     normals = np.tile(np.array(normal, np.float32), (len(at), 1))
-    return DensityEstimate(photons, k, reach_m, COS_LIMIT, FILTERS[kind])(at, normals).astype(np.float64)
+    return DensityEstimate(photons, k, reach_m, COS_LIMIT, FILTERS[kind])(at, normals).irradiance.astype(np.float64)
 
 
 # A disc that holds 30 photons in the mean reaches 0.031 m; k = 4000 is never reached there, k = 25 always at 0.2 m,

@@ -1,12 +1,13 @@
-"""Irradiance from photons: density estimates, and look-ups of estimates made before."""
+"""Irradiance from photons: density estimates, and what points reflect of it."""
 
 import math
 
 import numpy as np
 
 from joulebox_render.kernels.compilation import device, kernel
-from joulebox_render.kernels.kdtree import nearest_points
+from joulebox_render.kernels.kdtree import candidate_distance2, candidate_row, nearest_points
 from joulebox_render.kernels.rng import member_key, uniform
+from joulebox_render.kernels.transport import push_point
 from joulebox_render.kernels.vector import row3, set_row3
 
 CONSTANT, CONE, EPANECHNIKOV = 0, 1, 2
@@ -27,16 +28,17 @@ def kernel_weight(kind, share2):
 
 
 @kernel
-def estimate_irradiance(tree, flux, position, normal, k, reach, cos_limit, filter_kind, scratch, irradiance):
+def estimate_irradiance(tree, flux, position, normal, k, reach, cos_limit, filter_kind, scratch, estimates):
     """Irradiance at points from their nearest photons [W m^-2].
 
     E = sum_p w(d_p / r) flux_p / (pi r^2)
 
     flux (P, 3) f4 in the tree's order [W], already divided by the number emitted; position, normal (Q, 3) f4;
-    k nearest within `reach` [m]; irradiance (Q, 3) f4 is overwritten. Where k photons are found, r is the
-    distance of the k-th and the sum leaves that one out: with it, the estimate would be too large by
-    k / (k - 1) in the mean. With fewer, r is `reach`. Near edges the disc hangs over the surface and the
-    estimate is too dark (boundary bias). Source: Jensen 1996, eq. 5; Jensen 2001, section 7.2.
+    k nearest within `reach` [m]; estimates is overwritten: irradiance, radius r and how many photons were found.
+    Where k photons are found, r is the distance of the k-th and the sum leaves that one out: with it, the
+    estimate would be too large by k / (k - 1) in the mean. With fewer, r is `reach`. Near edges the disc hangs
+    over the surface and the estimate is too dark (boundary bias). Source: Jensen 1996, eq. 5; Jensen 2001,
+    section 7.2.
     """
     for q in range(position.shape[0]):
         x, y, z = row3(position, q)
@@ -44,37 +46,22 @@ def estimate_irradiance(tree, flux, position, normal, k, reach, cos_limit, filte
         found = nearest_points(
             tree, x, y, z, nx, ny, nz, cos_limit, reach * reach, k, scratch
         )
-        first, radius2 = 0, np.float64(reach) * reach
+        inside, radius2 = found, np.float64(reach) * reach
         if found == k:
-            first, radius2 = 1, np.float64(scratch.distance2[0])
+            inside, radius2 = k - 1, np.float64(candidate_distance2(scratch.candidates[k - 1]))
         red, green, blue = 0.0, 0.0, 0.0
         if radius2 > 0.0:
-            for i in range(first, found):
-                weight = kernel_weight(filter_kind, scratch.distance2[i] / radius2)
-                row = scratch.row[i]
+            for i in range(inside):
+                entry = scratch.candidates[i]
+                weight = kernel_weight(filter_kind, candidate_distance2(entry) / radius2)
+                row = candidate_row(entry)
                 red += weight * flux[row, 0]
                 green += weight * flux[row, 1]
                 blue += weight * flux[row, 2]
             scale = 1.0 / (math.pi * radius2)
             red, green, blue = red * scale, green * scale, blue * scale
-        set_row3(irradiance, q, red, green, blue)
-
-
-@kernel
-def nearest_irradiance(tree, records, position, normal, reach, cos_limit, scratch, irradiance):
-    """Irradiance of the record nearest to each point, 0 where none lies within `reach` [m].
-
-    records (R, 3) f4 in the tree's order [W m^-2]; irradiance (Q, 3) f4 is overwritten.
-    Source: Christensen 1999.
-    """
-    for q in range(position.shape[0]):
-        x, y, z = row3(position, q)
-        nx, ny, nz = row3(normal, q)
-        found = nearest_points(
-            tree, x, y, z, nx, ny, nz, cos_limit, reach * reach, 1, scratch
-        )
-        for c in range(3):
-            irradiance[q, c] = records[scratch.row[0], c] if found else 0.0
+        set_row3(estimates.irradiance, q, red, green, blue)
+        estimates.radius[q], estimates.found[q] = math.sqrt(radius2), inside
 
 
 @kernel
@@ -90,14 +77,30 @@ def reflect_irradiance(points, irradiance, radiance):
 
 
 @kernel
-def mark_short(points, resolution, is_near):
-    """Mark points (N,) u1/bool whose last ray was shorter than about `resolution` [m].
+def take_unsure(points, unsure, resolution, near):
+    """Move points marked in unsure (N,) u1, or whose last ray was shorter than about `resolution` [m], to `near`.
 
-    The limit varies from 0.5 to 1.5 of it by chance, so that no line shows where the method changes.
+    Returns how many. Their weights in `points` become 0. near is overwritten, in the order of the points. The limit varies from 0.5 to
+    1.5 of the resolution by chance, so that no line shows where the method changes.
     """
+    count = 0
     for q in range(points.owner.shape[0]):
-        limit = resolution * (0.5 + uniform(member_key(points.key[q], points.sample[q]), SHORT_DIMENSION))
-        is_near[q] = points.distance[q] < limit
+        key, sample = points.key[q], points.sample[q]
+        limit = resolution * (0.5 + uniform(member_key(key, sample), SHORT_DIMENSION))
+        if points.distance[q] >= limit and not unsure[q]:
+            continue
+        px, py, pz = row3(points.position, q)
+        gx, gy, gz = row3(points.geometric, q)
+        sx, sy, sz = row3(points.normal, q)
+        ax, ay, az = row3(points.albedo, q)
+        wx, wy, wz = row3(points.weight, q)
+        push_point(
+            near, count, px, py, pz, gx, gy, gz, sx, sy, sz, ax, ay, az, wx, wy, wz,
+            points.owner[q], key, sample, points.distance[q],
+        )  # fmt: skip
+        set_row3(points.weight, q, 0.0, 0.0, 0.0)
+        count += 1
+    return count
 
 
 @kernel

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from joulebox_render.kernels.compilation import device, kernel
-from joulebox_render.kernels.rng import child_key, draw_1d, draw_2d, sample_2d
+from joulebox_render.kernels.rng import child_key, draw_1d, draw_2d, fill_2d
 from joulebox_render.kernels.vector import cosine_direction, from_frame, row3, set_row3
 
 POINT_LIGHT, SPOT_LIGHT, RECTANGLE_LIGHT, DISK_LIGHT, SPHERE_LIGHT, MESH_LIGHT, ENVIRONMENT = 0, 1, 2, 3, 4, 5, 6
@@ -132,35 +132,40 @@ def light_sample(tables, light, px, py, pz, u, v):
     d2 = dx * dx + dy * dy + dz * dz
     if d2 == 0.0:
         return 0.0, 0.0, 1.0, 0.0, 0.0
-    distance = math.sqrt(d2)
-    dx, dy, dz = dx / distance, dy / distance, dz / distance
+    # One division: there are many in this loop otherwise, and they are what it waits for.
+    inverse = 1.0 / math.sqrt(d2)
+    distance = d2 * inverse
+    dx, dy, dz = dx * inverse, dy * inverse, dz * inverse
     if kind == POINT_LIGHT:
-        return dx, dy, dz, distance, 1.0 / d2
+        return dx, dy, dz, distance, inverse * inverse
     if kind == SPOT_LIGHT:
         ax, ay, az = row3(tables.light_normal, light)
         cos_axis = -(dx * ax + dy * ay + dz * az)
         beam, cutoff = cone_cosines(tables, light)
-        return dx, dy, dz, distance, spot_falloff(cos_axis, beam, cutoff) / d2
+        return dx, dy, dz, distance, spot_falloff(cos_axis, beam, cutoff) * inverse * inverse
     cos_light = -(dx * nx + dy * ny + dz * nz)
-    return dx, dy, dz, distance, max(0.0, cos_light) * tables.light_area[light] / d2
+    return dx, dy, dz, distance, max(0.0, cos_light) * tables.light_area[light] * inverse * inverse
 
 
 @kernel
-def shadow_rays(tables, light, count, columns, points, first, last, origin, direction, limit, value, owner):
+def shadow_rays(tables, light, count, columns, points, first, last, origin, direction, limit, weight, owner):
     """Shadow rays from points [first, last) to stratified samples of one light; returns how many were written.
 
-    Only samples that would light the point are written. value (N, 3) f4 is the radiance that each reflects if
-    nothing blocks it, already divided by `count`; owner (N,) i4 is the point's row, counted from `first`.
-    limit (N,) f4 stops just short of the light [m].
+    Only samples that would light the point are written. weight (N,) f4 [sr] times the light's radiance and the point's
+    albedo is what each reflects if nothing blocks it, already divided by pi and `count`; owner (N,) i4 is the
+    point's row, counted from `first`. limit (N,) f4 stops just short of the light [m].
     """
-    written = 0
+    written, share = 0, 1.0 / (math.pi * count)
     for row in range(first, last):
         px, py, pz = row3(points.position, row)
         nx, ny, nz = row3(points.normal, row)
         gx, gy, gz = row3(points.geometric, row)
-        key, sample = child_key(points.key[row], LIGHT_BRANCH + light), points.sample[row]
-        for i in range(count):
-            u, v = sample_2d(key, sample, 1, i, count, columns)
+        # Samples wait where their rays' own numbers will be written, which no ray reaches before it is read.
+        begin = written
+        key = child_key(points.key[row], LIGHT_BRANCH + light)
+        fill_2d(key, points.sample[row], 1, count, columns, limit, weight, begin)
+        for i in range(begin, begin + count):
+            u, v = limit[i], weight[i]
             if tables.light_kind[light] == ENVIRONMENT:
                 dx, dy, dz = cosine_direction(nx, ny, nz, u, v)
                 distance, scale = SKY_DISTANCE, math.pi / max(1e-6, dx * nx + dy * ny + dz * nz)
@@ -169,24 +174,33 @@ def shadow_rays(tables, light, count, columns, points, first, last, origin, dire
             cos_point = dx * nx + dy * ny + dz * nz
             if scale <= 0.0 or cos_point <= 0.0 or dx * gx + dy * gy + dz * gz <= 0.0:
                 continue
-            weight = scale * cos_point / (math.pi * count)
             set_row3(origin, written, px, py, pz)
             set_row3(direction, written, dx, dy, dz)
             limit[written] = distance * (1.0 - 1e-4)
-            for c in range(3):
-                value[written, c] = points.albedo[row, c] * tables.light_radiance[light, c] * weight
+            weight[written] = scale * cos_point * share
             owner[written] = row - first
             written += 1
     return written
 
 
 @kernel
-def add_unblocked(blocked, value, owner, radiance):
-    """Add what unblocked rays carry to their owners; radiance (P, 3) f8 is added to in ray order."""
-    for i in range(blocked.shape[0]):
-        if not blocked[i]:
-            for c in range(3):
-                radiance[owner[i], c] += value[i, c]
+def add_unblocked(tables, light, points, first, blocked, weight, owner, radiance):
+    """Add what unblocked rays to a light carry to their owners; radiance (P, 3) f8 is added to in ray order.
+
+    Rays of one owner follow each other; owner counts points from `first`.
+    """
+    lx, ly, lz = row3(tables.light_radiance, light)
+    i, count = 0, blocked.shape[0]
+    while i < count:
+        point, total = owner[i], 0.0
+        while i < count and owner[i] == point:
+            if not blocked[i]:
+                total += weight[i]
+            i += 1
+        ax, ay, az = row3(points.albedo, first + point)
+        radiance[point, 0] += ax * lx * total
+        radiance[point, 1] += ay * ly * total
+        radiance[point, 2] += az * lz * total
 
 
 @device

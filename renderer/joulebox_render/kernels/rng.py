@@ -8,6 +8,8 @@ scramble, so that the paths of a family cover their common space evenly.
 """
 
 import numpy as np
+from numba import types
+from numba.extending import intrinsic
 
 from joulebox_render.kernels.compilation import device
 
@@ -20,6 +22,8 @@ _S2, _S4, _S8, _S16, _S32 = np.uint64(2), np.uint64(4), np.uint64(8), np.uint64(
 _LOW = np.uint64(0xFFFFFFFF)
 _TO_UNIT = 2.0**-53
 _TO_UNIT_32 = 2.0**-32
+# The largest number below 1 in single precision.
+BELOW_ONE = np.float32(1.0 - 2.0**-24)
 # What `columns` says of samples that are in no grid.
 INDEPENDENT, SOBOL = -1, 0
 
@@ -58,15 +62,20 @@ def uniform(key, dimension):
     return np.float64(bits >> _S11) * _TO_UNIT
 
 
+@intrinsic
+def _bitreverse(_typing, _bits):
+    """LLVM's reversal of 64 bits; shifts and masks written out take twice as long."""
+
+    def generate(_context, builder, _signature, arguments):
+        return builder.bitreverse(arguments[0])
+
+    return types.uint64(types.uint64), generate
+
+
 @device
 def reverse_bits(bits):
     """The 32 low bits in the opposite order."""
-    x = np.uint64(bits)
-    x = ((x >> _ONE) & np.uint64(0x55555555)) | ((x & np.uint64(0x55555555)) << _ONE)
-    x = ((x >> _S2) & np.uint64(0x33333333)) | ((x & np.uint64(0x33333333)) << _S2)
-    x = ((x >> _S4) & np.uint64(0x0F0F0F0F)) | ((x & np.uint64(0x0F0F0F0F)) << _S4)
-    x = ((x >> _S8) & np.uint64(0x00FF00FF)) | ((x & np.uint64(0x00FF00FF)) << _S8)
-    return ((x >> _S16) & np.uint64(0xFFFF)) | ((x & np.uint64(0xFFFF)) << _S16)
+    return _bitreverse(np.uint64(bits)) >> _S32
 
 
 @device
@@ -148,3 +157,34 @@ def sample_2d(key, sample, dimension, i, count, columns):
         return (i + u) / count, ((shift - i * columns) % count + v) / count
     rows = count // columns
     return (i % columns + u) / columns, (i // columns + v) / rows
+
+
+@device
+def fill_2d(key, sample, dimension, count, columns, u, v, first):
+    """All `count` points of sample_2d at once, into u and v (N,) f4 from `first` on, below 1.
+
+    A loop of its own per kind of sampler: without branches and divisions inside it takes a quarter of the time.
+    """
+    if columns == SOBOL:
+        base, start = child_key(key, dimension), sample * count
+        for i in range(count):
+            a, b = sobol_2d(base, start + i)
+            u[first + i], v[first + i] = min(a, BELOW_ONE), min(b, BELOW_ONE)
+        return
+    path = member_key(key, sample)
+    for i in range(count):
+        u[first + i] = min(uniform(path, dimension + 2 * i), BELOW_ONE)
+        v[first + i] = min(uniform(path, dimension + 2 * i + 1), BELOW_ONE)
+    if columns < -1:
+        shift, width = np.int64(uniform(path, dimension - 1) * count), 1.0 / count
+        for i in range(count):
+            u[first + i] = min((i + u[first + i]) * width, BELOW_ONE)
+            v[first + i] = min(((shift - i * columns) % count + v[first + i]) * width, BELOW_ONE)
+    elif columns > 0:
+        rows = count // columns
+        width, height = 1.0 / columns, 1.0 / rows
+        for j in range(rows):
+            for i in range(columns):
+                at = first + j * columns + i
+                u[at] = min((i + u[at]) * width, BELOW_ONE)
+                v[at] = min((j + v[at]) * height, BELOW_ONE)

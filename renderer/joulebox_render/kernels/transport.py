@@ -3,6 +3,7 @@
 import math
 
 from joulebox_render.kernels.compilation import device, kernel
+from joulebox_render.kernels.importance import warp_to_cells
 from joulebox_render.kernels.rng import INDEPENDENT, SOBOL, child_key, draw_1d, draw_2d, path_key, sample_2d
 from joulebox_render.kernels.surface import surface_at_hit
 from joulebox_render.kernels.vector import (
@@ -228,13 +229,15 @@ def advance(tables, split, sobol, emission, rays, hits, radiance, points, follow
 
 
 @kernel
-def gather_rays(points, first, last, count, columns, rays):
+def gather_rays(points, first, last, count, columns, chance, rays):
     """Cosine-distributed rays into the hemisphere over points [first, last), `count` a point.
 
-    Each ray's weight is 1, or 0 where an interpolated normal sends it below the surface: pi times the mean of
-    weight x incident radiance is the irradiance. owner is the ray's own row. rays is overwritten.
+    chance (last - first, cells) f4 of kernels.importance bends the distribution; without rows it has no say. A
+    ray's weight is the cosine density over its own, 0 where an interpolated normal sends it below the surface: pi
+    times the mean of weight x incident radiance is the irradiance. owner is the ray's own row. rays is overwritten.
     Source: Jensen 2001, eq. 8.6.
     """
+    bent = chance.shape[0] > 0
     row = 0
     for point in range(first, last):
         px, py, pz = row3(points.position, point)
@@ -243,8 +246,12 @@ def gather_rays(points, first, last, count, columns, rays):
         key, sample = child_key(points.key[point], GATHER_BRANCH), points.sample[point]
         for i in range(count):
             u, v = sample_2d(key, sample, 1, i, count, columns)
+            weight = 1.0
+            if bent:
+                u, v, weight = warp_to_cells(chance, point - first, u, v)
             dx, dy, dz = cosine_direction(nx, ny, nz, u, v)
-            weight = 1.0 if dx * gx + dy * gy + dz * gz > 0.0 else 0.0
+            if dx * gx + dy * gy + dz * gz <= 0.0:
+                weight = 0.0
             push_ray(
                 rays, row, px, py, pz, dx, dy, dz, weight, weight, weight, row, key, sample * count + i
             )  # fmt: skip

@@ -11,8 +11,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from joulebox_render.kernels.lighting import AIM_COLUMNS, AIM_ROWS
 from joulebox_render.kernels.vector import from_frame
@@ -72,6 +70,10 @@ def specular_balls(tables: SceneTables) -> F8:
     triangles = tables.triangles[specular[:triangle_count]]
     if not len(triangles):
         return balls
+    # Imported where there are hints to make: scipy takes a while to load.
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     # Triangles that share corners make one object; corners at one place count as one.
     _, corner = np.unique(tables.vertices, axis=0, return_inverse=True)
     corners = corner.reshape(-1)[triangles]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from joulebox_render.kernels.lighting import add_unblocked, shadow_rays
-from joulebox_render.records import F4, F8, POINT_LIGHT, SPOT_LIGHT, Points
+from joulebox_render.records import F8, POINT_LIGHT, SPOT_LIGHT, Points
 from joulebox_render.stages.context import Context
 
 
@@ -33,14 +33,14 @@ def sample_lights(context: Context, points: Points, first: int, last: int, sampl
     for light, kind in enumerate(tables.light_kind):
         count = 1 if kind in (POINT_LIGHT, SPOT_LIGHT) else samples
         room = (last - first) * count
-        origin, direction, value = (np.empty((room, 3), np.float32) for _ in range(3))
-        limit: F4 = np.empty(room, np.float32)
+        origin, direction = np.empty((2, room, 3), np.float32)
+        limit, weight = np.empty((2, room), np.float32)
         owner = np.empty(room, np.int32)
         written = shadow_rays(
             tables, light, count, context.columns(count), points, first, last,
-            origin, direction, limit, value, owner,
+            origin, direction, limit, weight, owner,
         )  # fmt: skip
         blocked = context.intersector.occluded(origin[:written], direction[:written], limit[:written])
-        add_unblocked(blocked, value, owner, radiance)
+        add_unblocked(tables, light, points, first, blocked, weight, owner, radiance)
         traced += written
     return radiance, traced

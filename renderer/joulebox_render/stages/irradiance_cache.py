@@ -21,8 +21,9 @@ from joulebox_render.kernels.irradiance import (
 from joulebox_render.kernels.transport import gather_rays
 from joulebox_render.records import F4, F8, I4, I8, U1, Camera, Points, Rays, rows
 from joulebox_render.stages.context import Context
+from joulebox_render.stages.density import Illumination
 from joulebox_render.stages.eye import camera_frame, look
-from joulebox_render.stages.gather import Illumination, final_gather, incident_radiance
+from joulebox_render.stages.gather import NOT_BENT, final_gather, incident_radiance
 from joulebox_render.stages.paths import join
 
 # Pixels between the overture's eye rays, coarse to fine.
@@ -31,6 +32,8 @@ STEPS = (16, 8, 4, 2)
 LEAST_PIXELS, MOST_PIXELS = 1.5, 20.0
 # Records are placed at this share of the tolerance that they are used with, so that several blend at every point.
 PLACING = 0.6
+# Rays of a gather where no record reaches.
+LEAST_RAYS = 16
 # A point costs about as much as this many rays.
 RAYS_PER_LOOKUP = 2
 
@@ -107,7 +110,7 @@ def gather_records(
 
     def chunk(first: int, last: int) -> tuple[CacheRecords, int]:
         rays = Rays.empty((last - first) * count)
-        gather_rays(points, first, last, count, polar, rays)
+        gather_rays(points, first, last, count, polar, NOT_BENT, rays)
         incident, distance, traced = incident_radiance(context, light, rays)
         part = CacheRecords.empty(last - first)
         summarize_gather(points, first, polar, azimuth, incident, distance, near[first:last], far[first:last], part, 0)
@@ -166,6 +169,8 @@ def cached_gather(
     irradiance, found = interpolate(context, cache, points)
     radiance = points.albedo * irradiance / math.pi
     missing = np.flatnonzero(found == 0)
-    gathered, traced = final_gather(context, light, Points(*rows(points, missing)))
+    # The samples of a pixel share the noise of its own gathers as records share theirs with many pixels.
+    count = max(LEAST_RAYS, context.settings.final_gather_rays // context.settings.samples_per_pixel)
+    gathered, traced = final_gather(context, light, Points(*rows(points, missing)), count)
     radiance[missing] = gathered
     return radiance.astype(np.float64), traced

@@ -134,11 +134,12 @@ def _fill(context: Context, aim: Aim, emission: int, collectors: list[_Collector
 def global_histories(context: Context) -> tuple[int, ...]:
     """Which photons the global map holds.
 
-    Final gathering looks the map up where gather rays end, and needs all light there. Direct visualisation shows
-    the map at first sight: light straight from the lights is sampled instead, and caustics have their own map.
+    Final gathering looks the map up where gather rays end, and needs all light there; where irradiance is
+    precomputed, light straight from the lights is sampled once at every record. Direct visualisation shows the map
+    at first sight: light straight from the lights is sampled instead, and caustics have their own map.
     """
     if context.settings.indirect == "final_gather":
-        return (FIRST_HIT, CAUSTIC, BOUNCED)
+        return (CAUSTIC, BOUNCED) if context.plan.precomputed_irradiance else (FIRST_HIT, CAUSTIC, BOUNCED)
     return (BOUNCED,) if context.plan.caustic_map else (CAUSTIC, BOUNCED)
 
 
