@@ -16,6 +16,7 @@ from joulebox_render.kernels.transport import gather_rays
 from joulebox_render.records import Points, Rays
 from joulebox_render.session import Image
 from joulebox_render.stages.eye import camera_frame, look
+from joulebox_render.stages.gather import NOT_BENT
 from joulebox_render.stages.irradiance_cache import (
     LEAST_PIXELS,
     MOST_PIXELS,
@@ -66,7 +67,7 @@ def gathered(points: Points, polar: int = POLAR, azimuth: int = AZIMUTH) -> Cach
     records = CacheRecords.empty(len(points.owner))
     for row in range(len(points.owner)):
         rays = Rays.empty(count)
-        gather_rays(points, row, row + 1, count, polar, rays)
+        gather_rays(points, row, row + 1, count, polar, NOT_BENT, rays)
         z = rays.direction[:, 2].astype(float)
         distance = np.where(z > 1e-3, (1 - points.position[row, 2]) / np.maximum(z, 1e-3), 1e3)
         at = points.position[row] + distance[:, None] * rays.direction
@@ -138,7 +139,7 @@ def test_bounds_of_the_radius_are_kept_and_gradients_scaled() -> None:
     bound = CacheRecords.empty(3)
     for row in range(3):
         rays = Rays.empty(count)
-        gather_rays(points, row, row + 1, count, 12, rays)
+        gather_rays(points, row, row + 1, count, 12, NOT_BENT, rays)
         distance = (1 - points.position[row, 2]) / rays.direction[:, 2].astype(float)
         at = points.position[row] + distance[:, None] * rays.direction
         summarize_gather(

@@ -23,6 +23,7 @@ from joulebox_render.records import POINT_LIGHT, Points, Rays
 from joulebox_render.scene import load_scene
 from joulebox_render.stages.aim import aim_everywhere
 from joulebox_render.stages.context import Context
+from joulebox_render.stages.gather import NOT_BENT
 from joulebox_render.tables import SceneTables, scene_tables
 from scipy import stats
 
@@ -208,7 +209,7 @@ def test_gather_rays_are_cosine_distributed(normal: tuple[float, float, float]) 
     unit = np.array(normal) / np.linalg.norm(normal)
     count = 20_000
     rays = Rays.empty(count)
-    gather_rays(points_at((0, 0, 0), unit, count), 0, count, 1, INDEPENDENT, rays)
+    gather_rays(points_at((0, 0, 0), unit, count), 0, count, 1, INDEPENDENT, NOT_BENT, rays)
     assert_fits(binned(10, *cosine_cells(rays.direction.astype(np.float64), np.tile(unit, (count, 1)))))
 
 
