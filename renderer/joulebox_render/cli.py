@@ -224,7 +224,9 @@ def _compile_all() -> None:
         return
     messages.print("compiling the renderer's kernels for this machine (once, about a minute) ...", highlight=False)
     names = {entry.name for entry in list_scenes()}
-    for settings in ({}, {"photon_spacing": 0, "indirect": "direct_visualization"}, {"indirect": "path"}):
+    for settings in (
+        {"use_shadow_photons": True}, {"photon_spacing": 0, "indirect": "direct_visualization"}, {"indirect": "path"},
+    ):  # fmt: skip
         if "cornell-spheres" in names:
             with Session("cornell-spheres", make_settings(settings)):
                 pass

@@ -28,6 +28,7 @@ from joulebox_render.stages.eye import look
 from joulebox_render.stages.gather import final_gather, trace_paths
 from joulebox_render.stages.irradiance_cache import IrradianceCache, cached_gather, fill_cache
 from joulebox_render.stages.photon_map import PhotonMap, build_photon_map, emit_and_store
+from joulebox_render.stages.shadow_photons import ShadowMap, build_shadow_map
 
 # Eye rays a band: enough work for many chunks a thread, in some tens of megabytes.
 BAND_RAYS = 131_072
@@ -41,6 +42,7 @@ class Maps:
     caustic_map: PhotonMap | None
     irradiance: IrradianceRecords | None
     cache: IrradianceCache | None = None
+    shadow_map: ShadowMap | None = None
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,7 @@ def render_image(
 def make_maps(context: Context, clock: StageClock) -> Maps:
     """Emit photons, build the maps, precompute irradiance: what the plan asks for."""
     settings, plan = context.settings, context.plan
-    global_map = caustic_map = irradiance = None
+    global_map = caustic_map = irradiance = shadow_map = None
     if plan.global_map or plan.caustic_map:
         with clock.stage("photon_map", part="emission") as interval:
             emission = emit_and_store(context)
@@ -91,10 +93,14 @@ def make_maps(context: Context, clock: StageClock) -> Maps:
                 caustic_map = build_photon_map(
                     emission.caustic_photons, emission.caustic_emitted, settings.caustic_photons
                 )
+    if plan.shadow_photons:
+        with clock.stage("photon_map", part="shadow_photons") as interval:
+            shadow_map = build_shadow_map(context)
+            interval.rays += shadow_map.rays
     if plan.precomputed_irradiance and global_map is not None:
         with clock.stage("precomputed_irradiance"):
             irradiance = precompute_irradiance(context, global_map)
-    return Maps(global_map, caustic_map, irradiance)
+    return Maps(global_map, caustic_map, irradiance, shadow_map=shadow_map)
 
 
 def render_band(
@@ -117,9 +123,10 @@ def light_points(
 ) -> None:
     """Add direct light, indirect light and caustics at points to their pixels' radiance (pixels, 3) f8."""
     with clock.stage("direct", through_specular=through_specular) as interval:
-        light, rays = light_directly(context, points)
-        add_weighted(points, light, radiance)
-        interval.rays += rays
+        direct = light_directly(context, points, maps.shadow_map.cells if maps.shadow_map else None)
+        add_weighted(points, direct.radiance, radiance)
+        interval.rays += direct.rays
+        interval.rays_saved += direct.rays_saved
     if context.plan.indirect:
         with clock.stage("indirect", through_specular=through_specular) as interval:
             light, rays = indirect_light(context, maps, points)

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from joulebox_render.records import GLASS, MIRROR, PHONG, Scene
+import numpy as np
+
+from joulebox_render.records import ENVIRONMENT, GLASS, MIRROR, PHONG, POINT_LIGHT, SPOT_LIGHT, Scene
 from joulebox_render.settings import Settings
 
 
@@ -24,12 +26,13 @@ class Plan:
     importance_sampling: bool
     left_out: dict[str, str] = field(default_factory=dict)
     indirect: bool = True
+    shadow_photons: bool = False
 
     @property
     def run(self) -> list[str]:
         """Stages that run, in their order."""
         stages = {
-            "photon_map": self.global_map or self.caustic_map,
+            "photon_map": self.global_map or self.caustic_map or self.shadow_photons,
             "precomputed_irradiance": self.precomputed_irradiance,
             "direct": True,
             "indirect": self.indirect,
@@ -66,7 +69,10 @@ def make_plan(scene: Scene, settings: Settings, force_all: bool = False) -> Plan
     caustics = _caustic_reason(settings, specular)
     if caustics:
         left_out["caustics"] = caustics
-    if not photon_method and caustics:
+    no_test = _shadow_reason(scene, settings, force_all)
+    if no_test:
+        left_out["shadow_photons"] = no_test
+    if not photon_method and caustics and no_test:
         left_out["photon_map"] = "no stage asks for photons"
     if not specular:
         left_out["specular_recursion"] = "no specular surface"
@@ -82,6 +88,7 @@ def make_plan(scene: Scene, settings: Settings, force_all: bool = False) -> Plan
         importance_sampling=settings.importance_sampling and settings.indirect == "final_gather",
         left_out=left_out,
         indirect=settings.indirect != "none",
+        shadow_photons=not no_test,
     )
 
 
@@ -94,3 +101,14 @@ def _caustic_reason(settings: Settings, specular: bool) -> str:
     if settings.caustic_photons == 0:
         return "caustic_photons=0"
     return "" if specular else "no specular surface"
+
+
+def _shadow_reason(scene: Scene, settings: Settings, force_all: bool) -> str:
+    """Why there are no direct and shadow photons; empty where there are."""
+    if not settings.use_shadow_photons:
+        return "use_shadow_photons=false"
+    if settings.direct_photons == 0:
+        return "direct_photons=0"
+    if force_all or not np.isin(scene.lights.kind, (POINT_LIGHT, SPOT_LIGHT, ENVIRONMENT)).all():
+        return ""
+    return "no area light: a point light takes one ray, and the sky is in part hidden almost everywhere"

@@ -263,12 +263,32 @@ class Scratch(NamedTuple):
         return cls(node, low, high, np.empty(64), np.empty(4 * k + 64, np.int64))
 
 
+class Estimates(NamedTuple):
+    """Density estimates at points.
+
+    irradiance (N, 3) f4 [W m^-2]; radius (N,) f4 of each one's disc [m]; found (N,) i4, the photons that make it;
+    lopsided (N,) f4, the squared distance of their centroid from the point over what it is in the mean where
+    photons fill the disc: exponentially distributed there, larger near edges.
+    """
+
+    irradiance: F4
+    radius: F4
+    found: I4
+    lopsided: F4
+
+    @classmethod
+    def empty(cls, count: int) -> Estimates:
+        """Room for `count` estimates."""
+        radius, lopsided = np.empty((2, count), np.float32)
+        return cls(_f4(count), radius, np.empty(count, np.int32), lopsided)
+
+
 def _f4(count: int) -> F4:
     return np.empty((count, 3), np.float32)
 
 
 def rows(
-    record: Rays | Points | Photons | Hits, selection: slice | npt.NDArray[np.integer | np.bool_]
+    record: NamedTuple, selection: slice | npt.NDArray[np.integer | np.bool_]
 ) -> tuple[Any, ...]:
     """The selected rows of every column of a record; give it to the record's class.
 

@@ -94,7 +94,7 @@ class Session:
         small = self.settings.model_copy(
             update={
                 "width": 4, "height": 4, "samples_per_pixel": 1, "global_photons": 64, "caustic_photons": 4,
-                "shadow_rays": 4, "final_gather_rays": 4,
+                "direct_photons": min(64, self.settings.direct_photons), "shadow_rays": 4, "final_gather_rays": 4,
             }
         )  # fmt: skip
         context = Context(self.context.tables, self.context.intersector, small, self.plan, self._pool)
@@ -117,7 +117,7 @@ class Session:
             ) from None
         cpu_s, end = time.process_time() - cpu_start, time.perf_counter_ns()
         return Image(
-            rendering.pixels, start, end, cpu_s, clock, photon_counts(rendering),
+            rendering.pixels, start, end, cpu_s, clock, photon_counts(rendering, clock),
             irradiance_record_count(rendering), photon_notes(rendering),
         )  # fmt: skip
 
@@ -168,13 +168,17 @@ class Session:
         self._pool.__exit__(kind, error, trace)
 
 
-def photon_counts(rendering: Rendering) -> dict[str, int]:
-    """Photons stored in each map and emitted for it; 0 where there is no map."""
+def photon_counts(rendering: Rendering, clock: StageClock) -> dict[str, int]:
+    """Photons stored in each map and emitted for it, 0 where there is no map, and rays that shadow photons saved."""
     counts: dict[str, int] = {}
     for name, photons in (("global", rendering.maps.global_map), ("caustic", rendering.maps.caustic_map)):
         counts[f"{name}_stored"] = photons.stored if photons else 0
         counts[f"{name}_emitted"] = photons.emitted if photons else 0
-    counts["direct_stored"] = 0  # no photons are kept for the shadow test
+    seen = rendering.maps.shadow_map
+    counts["direct_stored"] = seen.direct_stored if seen else 0
+    counts["direct_emitted"] = seen.emitted if seen else 0
+    counts["shadow_stored"] = seen.shadow_stored if seen else 0
+    counts["shadow_rays_saved"] = sum(interval.rays_saved for interval in clock.intervals)
     return counts
 
 
@@ -188,12 +192,19 @@ def irradiance_record_count(rendering: Rendering) -> int:
 def photon_notes(rendering: Rendering) -> list[str]:
     """A sentence for each map that could not be filled."""
     maps = (("global", rendering.maps.global_map), ("caustic", rendering.maps.caustic_map))
-    return [
+    notes = [
         f"the {name} photon map holds only {photons.stored} photons after {photons.emitted} were emitted: "
         f"hardly any light takes such paths in this scene"
         for name, photons in maps
         if photons and not photons.complete
     ]
+    seen = rendering.maps.shadow_map
+    if seen and not seen.complete:
+        notes.append(
+            f"only {seen.direct_stored} direct photons were stored after {seen.emitted} were emitted: hardly any light "
+            f"of area lights falls on surfaces in this scene, so shadow photons save few rays"
+        )
+    return notes
 
 
 def peak_rss_bytes() -> int:

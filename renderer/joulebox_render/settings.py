@@ -50,7 +50,7 @@ class Settings(BaseModel):
     indirect: Literal["none", "direct_visualization", "final_gather", "path"] = Field(
         "final_gather", description="how light that bounced off diffuse surfaces is found"
     )
-    gather_count: int = Field(30, ge=2, le=100_000, description="photons in a density estimate, at most")
+    gather_count: int = Field(100, ge=2, le=100_000, description="photons in a density estimate, at most")
     gather_distance_m: float = Field(0.02, gt=0, le=1e6, description="[m] photons farther away do not count")
     normal_angle_deg: float = Field(
         30.0, gt=0, le=90, description="[degree] photons on surfaces turned away by more do not count"
@@ -73,7 +73,7 @@ class Settings(BaseModel):
     )
 
     caustics: bool = Field(True, description="show caustics from a photon map of their own")
-    caustic_gather_count: int = Field(30, ge=2, le=100_000, description="photons in a caustic estimate, at most")
+    caustic_gather_count: int = Field(100, ge=2, le=100_000, description="photons in a caustic estimate, at most")
     caustic_gather_distance_m: float = Field(
         0.006, gt=0, le=1e6, description="[m] caustic photons farther away do not count"
     )

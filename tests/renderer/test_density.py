@@ -56,7 +56,8 @@ def lattice(width_m: float, step_m: float) -> Any:
 def estimates(photons: PhotonMap, at: Any, k: int, reach_m: float, kind: str, normal: Any = (0, 0, 1)) -> Any:
     """Irradiance (N, 3) at points facing `normal`."""
     normals = np.tile(np.array(normal, np.float32), (len(at), 1))
-    return DensityEstimate(photons, k, reach_m, COS_LIMIT, FILTERS[kind])(at, normals).irradiance.astype(np.float64)
+    estimate = DensityEstimate(photons, k, reach_m, COS_LIMIT, FILTERS[kind])
+    return estimate(at, normals, np.zeros(len(at), np.uint64)).irradiance.astype(np.float64)
 
 
 # A disc that holds 30 photons in the mean reaches 0.031 m; k = 4000 is never reached there, k = 25 always at 0.2 m,

@@ -215,3 +215,16 @@ def test_a_map_does_not_depend_on_what_another_map_needs(make_scene: Make, open_
         k: v for k, v in alone.photons.items() if "global" in k
     }
     assert forced.pixel_sha256 == alone.pixel_sha256
+
+
+def test_where_a_photon_goes_from_its_first_hit_owes_nothing_to_its_emission(open_session: Open) -> None:
+    """In the furnace each wall receives a sixth of the photons after their first bounce: chi-square, 5 degrees.
+
+    60,000 photons bounce once; beyond 33 is a false alarm in 250,000. Numbers drawn twice, for the place on the
+    light and for the direction of the bounce, gave a wall 18 % too much.
+    """
+    photons = trace(open_session("furnace", max_photon_bounces=1), 6 * COUNT)
+    normal = photons.normal[photons.history == BOUNCED]
+    counts = np.array([(normal[:, axis] * side > 0.5).sum() for axis in range(3) for side in (-1, 1)])
+    assert counts.sum() == len(normal) > 50_000
+    assert ((counts - counts.mean()) ** 2 / counts.mean()).sum() < 33

@@ -132,19 +132,15 @@ ROWS: dict[str, Row] = {
     "caustic_gather_distance_m": Row(0.005, 0.1, caustic_peak, 0.5, {**CAUSTICS, "caustic_photons": 10_000}),
     "caustic_hints": Row(False, True, photons("caustic_emitted"), 0.5, {"indirect": "none"}),
     "sampler": Row("independent", "sobol", spread, 0.7, {**DIRECT, "shadow_rays": 16}, "cornell-boxes"),
-}  # fmt: skip
-# Settings whose effect is not written yet; the rows stand ready.
-LATER: dict[str, Row] = {
     "direct_photons": Row(100, 1000, photons("direct_stored"), 5.0, {"use_shadow_photons": True, **DIRECT}),
     "use_shadow_photons": Row(False, True, rays("direct"), 0.98, DIRECT, "cornell-boxes"),
     "importance_sampling": Row(False, True, spread, 0.98, {**GATHERED, "final_gather_rays": 32}, "cornell-boxes"),
-}
+}  # fmt: skip
 ELSEWHERE = {"normal_angle_deg"}  # below
 
 
 def test_every_setting_has_its_direction_written_down() -> None:
-    assert {*ROWS, *LATER, *ELSEWHERE} == set(Settings.model_fields)
-    assert not {*ROWS} & {*LATER}
+    assert {*ROWS, *ELSEWHERE} == set(Settings.model_fields)
 
 
 @pytest.mark.parametrize("name", ROWS)
@@ -175,7 +171,10 @@ def test_exposure_brightens_what_is_displayed(render: Callable[..., Image]) -> N
 def test_photons_on_surfaces_turned_away_count_by_the_angle(
     render: Callable[..., Image], make_scene: Callable[..., Path]
 ) -> None:
-    """Inside a ball of radius 1, photons within 0.2 m lie on normals up to 11.5 degrees away, half within 8."""
+    """Inside a ball of radius 1, photons within 0.2 m lie on normals up to 11.5 degrees away, half within 8.
+
+    The lopsided ones of the estimates, one in three or fewer, are made up for what the angle takes from their discs.
+    """
     ball = '<shape type="sphere"><boolean name="flip_normals" value="true"/></shape><emitter type="point"/>'
     settings = {**SMALL, "indirect": "direct_visualization", "gather_count": 5000, "gather_distance_m": 0.2}
     scene = make_scene(ball)
@@ -183,5 +182,5 @@ def test_photons_on_surfaces_turned_away_count_by_the_angle(
     all_, half, none = (
         render(scene, **settings, normal_angle_deg=angle).pixels.mean() - direct for angle in (30, 8.1, 0.01)
     )
-    assert half == pytest.approx(all_ / 2, rel=0.1)
+    assert 0.45 * all_ < half < 0.7 * all_
     assert none < 0.05 * all_

@@ -28,16 +28,19 @@ def kernel_weight(kind, share2):
 
 
 @kernel
-def estimate_irradiance(tree, flux, position, normal, k, reach, cos_limit, filter_kind, scratch, estimates):
+def estimate_irradiance(tree, flux, position, normal, own, k, reach, cos_limit, filter_kind, scratch, estimates):
     """Irradiance at points from their nearest photons [W m^-2].
 
     E = sum_p w(d_p / r) flux_p / (pi r^2)
 
     flux (P, 3) f4 in the tree's order [W], already divided by the number emitted; position, normal (Q, 3) f4;
-    k nearest within `reach` [m]; estimates is overwritten: irradiance, radius r and how many photons were found.
+    k nearest within `reach` [m]; estimates is overwritten: irradiance, radius r, how many photons were found, and how
+    lopsided they lie: the squared distance of their centroid over what it is in the mean where they fill a disc.
     Where k photons are found, r is the distance of the k-th and the sum leaves that one out: with it, the
-    estimate would be too large by k / (k - 1) in the mean. With fewer, r is `reach`. Near edges the disc hangs
-    over the surface and the estimate is too dark (boundary bias). Source: Jensen 1996, eq. 5; Jensen 2001,
+    estimate would be too large by k / (k - 1) in the mean. With fewer, r is `reach`. Where `own`, points are the
+    places of photons, and each photon is left out of the estimate at its own place: it is there for certain, and would
+    count as if it were by chance. Near edges the disc hangs over the surface and the estimate is too dark
+    (boundary bias). Source: Jensen 1996, eq. 5; Jensen 2001,
     section 7.2.
     """
     for q in range(position.shape[0]):
@@ -50,11 +53,17 @@ def estimate_irradiance(tree, flux, position, normal, k, reach, cos_limit, filte
         if found == k:
             inside, radius2 = k - 1, np.float64(candidate_distance2(scratch.candidates[k - 1]))
         red, green, blue = 0.0, 0.0, 0.0
+        ax, ay, az = 0.0, 0.0, 0.0
         if radius2 > 0.0:
             for i in range(inside):
                 entry = scratch.candidates[i]
+                if own and candidate_distance2(entry) <= 0.0:
+                    continue
                 weight = kernel_weight(filter_kind, candidate_distance2(entry) / radius2)
                 row = candidate_row(entry)
+                ax += tree.position[row, 0] - x
+                ay += tree.position[row, 1] - y
+                az += tree.position[row, 2] - z
                 red += weight * flux[row, 0]
                 green += weight * flux[row, 1]
                 blue += weight * flux[row, 2]
@@ -62,6 +71,8 @@ def estimate_irradiance(tree, flux, position, normal, k, reach, cos_limit, filte
             red, green, blue = red * scale, green * scale, blue * scale
         set_row3(estimates.irradiance, q, red, green, blue)
         estimates.radius[q], estimates.found[q] = math.sqrt(radius2), inside
+        square = ax * ax + ay * ay + az * az
+        estimates.lopsided[q] = 2.0 * square / (radius2 * inside) if radius2 * inside > 0.0 else 0.0
 
 
 @kernel
@@ -78,7 +89,7 @@ def reflect_irradiance(points, irradiance, radiance):
 
 @kernel
 def take_unsure(points, unsure, resolution, near):
-    """Move points marked in unsure (N,) u1, or whose last ray was shorter than about `resolution` [m], to `near`.
+    """Move points marked in unsure (N,) u1, or with a last ray shorter than about `resolution` [m], to `near`.
 
     Returns how many. Their weights in `points` become 0. near is overwritten, in the order of the points. The limit varies from 0.5 to
     1.5 of the resolution by chance, so that no line shows where the method changes.

@@ -262,9 +262,9 @@ def drawn_flux(tables, light):
 def emit_photons(tables, aim, sobol, family, first, rays):
     """Emit photons number first, first + 1, ...: lights are chosen in proportion to the power they send on aimed paths.
 
-    rays is overwritten; weight is flux [W], yet to be divided by the number emitted, equal for all photons of a
-    light; 0 for one that a spot's falloff swallows. Where `aim` lists cells of a light's directions, only these are
-    drawn, and the flux is their share of the light's.
+    rays is overwritten; owner is the light, weight flux [W], yet to be divided by the number emitted, equal for all
+    photons of a light; 0 for one that a spot's falloff swallows. Where `aim` lists cells of a light's directions,
+    only these are drawn, and the flux is their share of the light's.
     """
     light_count = tables.light_kind.shape[0]
     for i in range(rays.sample.shape[0]):
@@ -290,4 +290,4 @@ def emit_photons(tables, aim, sobol, family, first, rays):
         set_row3(rays.direction, i, dx, dy, dz)
         set_row3(rays.weight, i, fx * share, fy * share, fz * share)
         # A family of its own: the first bounce must not use the numbers that placed the photon on its light.
-        rays.owner[i], rays.key[i], rays.sample[i] = 0, child_key(family, 0), number
+        rays.owner[i], rays.key[i], rays.sample[i] = light, child_key(family, 0), number

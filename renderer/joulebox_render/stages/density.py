@@ -20,8 +20,9 @@ from joulebox_render.kernels.lookup import (
     nearest_records,
 )
 from joulebox_render.kernels.rng import path_key
-from joulebox_render.records import F4, F8, I4, U1, U8, Points, Scratch, Tree
+from joulebox_render.records import F4, F8, U1, U8, Estimates, Points, Scratch, Tree
 from joulebox_render.stages.context import Context
+from joulebox_render.stages.coverage import correct_boundaries
 from joulebox_render.stages.direct import sample_lights
 from joulebox_render.stages.photon_map import PhotonMap, grow_tree
 
@@ -37,21 +38,6 @@ RECORD_STREAM = 3
 MARGIN = 16
 # How far above the surface feelers run, in cells: a wall's foot is felt, a curve of the surface is not.
 FEELER_LIFT = 0.05
-
-
-class Estimates(NamedTuple):
-    """Density estimates at points: irradiance (N, 3) f4 [W m^-2], radius (N,) f4 of each one's disc [m], found (N,) i4,
-    the photons that make it.
-    """
-
-    irradiance: F4
-    radius: F4
-    found: I4
-
-    @classmethod
-    def empty(cls, count: int) -> Estimates:
-        """Room for `count` estimates."""
-        return cls(np.empty((count, 3), np.float32), np.empty(count, np.float32), np.empty(count, np.int32))
 
 
 class IrradianceTable(NamedTuple):
@@ -84,21 +70,27 @@ class IrradianceRecords(NamedTuple):
 
 @dataclass(frozen=True)
 class DensityEstimate:
-    """How photons around a point become irradiance."""
+    """How photons around a point become irradiance; corrected for discs that hang over edges where given a context."""
 
     photons: PhotonMap
     count: int
     reach_m: float
     cos_limit: float
     filter_kind: int
+    context: Context | None = None
 
-    def __call__(self, position: F4, normal: F4) -> Estimates:
-        """Irradiance at points."""
+    def __call__(self, position: F4, normal: F4, key: U8, own: bool = False) -> Estimates:
+        """Irradiance at points with position [m] and normal (N, 3) f4 and random key (N,) u8.
+
+        `own`: the points are photons' places, and a photon does not count at its own.
+        """
         estimates = Estimates.empty(len(position))
         estimate_irradiance(
-            self.photons.tree, self.photons.flux, position, normal, self.count, self.reach_m,
+            self.photons.tree, self.photons.flux, position, normal, own, self.count, self.reach_m,
             self.cos_limit, self.filter_kind, Scratch.empty(self.count), estimates,
         )  # fmt: skip
+        if self.context is not None:
+            correct_boundaries(self.context, self.cos_limit, self.filter_kind, position, normal, key, estimates)
         return estimates
 
 
@@ -107,12 +99,15 @@ def global_estimate(context: Context, photons: PhotonMap) -> DensityEstimate:
     settings = context.settings
     return DensityEstimate(
         photons, settings.gather_count, settings.gather_distance_m,
-        math.cos(math.radians(settings.normal_angle_deg)), FILTERS[settings.gather_filter],
+        math.cos(math.radians(settings.normal_angle_deg)), FILTERS[settings.gather_filter], context,
     )  # fmt: skip
 
 
 def caustic_estimate(context: Context, photons: PhotonMap) -> DensityEstimate:
-    """The estimate that the settings ask for in the caustic map, with its own count and distance."""
+    """The estimate that the settings ask for in the caustic map, with its own count and distance.
+
+    It is not corrected at edges: a caustic seldom fills its disc anyway, and what it lacks is no surface.
+    """
     settings = context.settings
     return DensityEstimate(
         photons, settings.caustic_gather_count, settings.caustic_gather_distance_m,
@@ -141,7 +136,8 @@ class Illumination:
         """
         count = len(points.owner)
         if self.records is None:
-            return self.estimate(points.position, points.normal).irradiance, np.zeros(count, np.uint8)
+            estimates = self.estimate(points.position, points.normal, probe_keys(points))
+            return estimates.irradiance, np.zeros(count, np.uint8)
         irradiance, unsure = np.empty((count, 3), np.float32), np.empty(count, np.uint8)
         look_up_irradiance(
             self.records.table, self.records.tree, self.records.irradiance, points.position, points.normal,
@@ -153,12 +149,16 @@ class Illumination:
 def precompute_irradiance(context: Context, photons: PhotonMap) -> IrradianceRecords:
     """Irradiance at every nth photon of the global map, n = photon_spacing (Christensen 1999)."""
     step = context.settings.photon_spacing
-    position = np.ascontiguousarray(photons.tree.position[::step])
-    normal = np.ascontiguousarray(photons.tree.normal[::step])
+    # By the order of storing: which photons lie first in the tree hangs on roundings of their places.
+    chosen = photons.rank % step == 0
+    position = np.ascontiguousarray(photons.tree.position[chosen])
+    normal = np.ascontiguousarray(photons.tree.normal[chosen])
     estimate = global_estimate(context, photons)
 
     def chunk(first: int, last: int) -> Estimates:
-        estimates = estimate(position[first:last], normal[first:last])
+        estimates = estimate(
+            position[first:last], normal[first:last], np.arange(first, last, dtype=np.uint64), own=True
+        )
         sampled = direct_irradiance(context, first, position[first:last], normal[first:last])
         return estimates._replace(irradiance=estimates.irradiance + sampled)
 
@@ -240,11 +240,18 @@ def tabulate(
     return table
 
 
+def probe_keys(points: Points) -> U8:
+    """A random key (N,) u8 for each point's probes."""
+    keys: U8 = points.key + points.sample.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)
+    return keys
+
+
 def show_photons(context: Context, estimate: DensityEstimate, points: Points) -> F8:
     """Radiance (points, 3) f8 that points reflect of the photons around them (direct visualisation)."""
+    keys = probe_keys(points)
 
     def chunk(first: int, last: int) -> F8:
-        irradiance = estimate(points.position[first:last], points.normal[first:last]).irradiance
+        irradiance = estimate(points.position[first:last], points.normal[first:last], keys[first:last]).irradiance
         return points.albedo[first:last].astype(np.float64) / math.pi * irradiance
 
     parts = list(context.pool.map_chunks(chunk, len(points.owner), RAYS_PER_ESTIMATE))

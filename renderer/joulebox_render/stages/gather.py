@@ -82,7 +82,7 @@ def incident_radiance(context: Context, light: Illumination, rays: Rays) -> tupl
         lit, shadow = sample_lights(context, near, 0, len(near.owner), 1)
         add_weighted(near, lit, radiance)
         if light.caustics is not None:
-            reflect_irradiance(near, light.caustics(near.position, near.normal).irradiance, radiance)
+            reflect_irradiance(near, light.caustics(near.position, near.normal, near.key).irradiance, radiance)
         onward = Rays.empty(len(near.owner))
         count = continue_paths(near, context.sobol, 0, onward)
         reached, _, through = follow_to_diffuse(

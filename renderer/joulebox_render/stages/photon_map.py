@@ -11,7 +11,7 @@ from joulebox_render.kernels.kdtree import LEAF, build_tree
 from joulebox_render.kernels.lighting import emit_photons
 from joulebox_render.kernels.photons import scatter
 from joulebox_render.kernels.rng import path_key
-from joulebox_render.records import F4, U1, Aim, Photons, Rays, Scratch, Tree, rows
+from joulebox_render.records import F4, I4, U1, Aim, Photons, Rays, Scratch, Tree, rows
 from joulebox_render.stages.aim import aim_at_specular, aim_everywhere
 from joulebox_render.stages.context import Context
 
@@ -26,7 +26,8 @@ EMITTED_PER_STORED = 50
 class PhotonMap:
     """Photons in a kd-tree.
 
-    tree; flux (N, 3) f4 [W], divided by `emitted`, wi (N, 3) f4 and history (N,) u1 in the tree's order.
+    tree; flux (N, 3) f4 [W], divided by `emitted`, wi (N, 3) f4, history (N,) u1 and rank (N,) i4 in the order of
+    storing, all in the tree's order.
     complete is False when emission ended before the map held what was asked for.
     """
 
@@ -34,6 +35,7 @@ class PhotonMap:
     flux: F4
     wi: F4
     history: U1
+    rank: I4
     stored: int
     emitted: int
     complete: bool
@@ -148,7 +150,7 @@ def build_photon_map(photons: Photons, emitted: int, wanted: int) -> PhotonMap:
     tree, order = grow_tree(photons.position, photons.normal)
     flux = np.ascontiguousarray(photons.flux[order] / np.float32(max(1, emitted)))
     wi, history = np.ascontiguousarray(photons.wi[order]), np.ascontiguousarray(photons.history[order])
-    return PhotonMap(tree, flux, wi, history, len(photons.number), emitted, len(photons.number) >= wanted)
+    return PhotonMap(tree, flux, wi, history, order, len(photons.number), emitted, len(photons.number) >= wanted)
 
 
 def grow_tree(position: F4, normal: F4) -> tuple[Tree, np.ndarray]:
