@@ -78,7 +78,11 @@ def test_the_cube_furnace_by_final_gathering(
     ids=lambda method: " ".join(map(str, method.values())),
 )
 def test_the_sphere_furnace(make_scene: Make, open_session: Callable[..., Any], z_score: Z, method: Any) -> None:
-    """No edges, so no method is biased: a ball of radius r cuts exactly pi r^2 out of a sphere (Archimedes).
+    """No edges, so no estimate is biased: a ball of radius r cuts exactly pi r^2 out of a sphere (Archimedes).
+
+    Looking up the nearest of a few records is, a little: those where photons are sparse, which estimate too little,
+    are nearest to more places. By the relative variance of an estimate of 50 photons, 2 %, times the share of the
+    picture that photons light, a quarter and less, times how far a record's surroundings follow its estimate.
 
     A light that emits inwards, seen from inside. Each seed's mean is one sample: photons are shared by its pixels.
     """
@@ -95,5 +99,6 @@ def test_the_sphere_furnace(make_scene: Make, open_session: Callable[..., Any], 
     assert np.all(means.std(axis=0) < 0.04)
     for channel in means.T:
         # Ten seeds: Student's t has wider tails than a normal; 8.5 is its 4.5 sigma with nine degrees of freedom.
-        assert abs(z_score(channel, 1)) < 8.5 or abs(channel.mean() - 1) < 1e-5
+        nearest = method["indirect"] == "final_gather" and method.get("photon_spacing", 4) > 0
+        assert abs(z_score(channel, 1)) < 8.5 or abs(channel.mean() - 1) < (0.002 if nearest else 1e-5)
     assert abs(means.mean() - 1) < 0.01

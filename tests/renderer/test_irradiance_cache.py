@@ -119,10 +119,21 @@ def test_gradients_lie_in_the_tangent_plane() -> None:
 
 
 def test_the_radius_is_the_harmonic_mean_distance() -> None:
-    """Under the plane at height 1: mean of cos / 1 over the cosine density is 2/3, so the radius 1.5 at most.
+    """Under a plane of one radiance at height h, 1 / distance is cos / h, 2 / (3 h) in the mean."""
+    points = points_at([PLACES[0]], NORMALS["upright"])
+    rays = Rays.empty(12 * 36)
+    gather_rays(points, 0, 1, 12 * 36, 12, NOT_BENT, rays)
+    distance = (0.8 / np.maximum(rays.direction[:, 2], 1e-3)).astype(np.float32)
+    records = CacheRecords.empty(1)
+    bounds = np.zeros(1, np.float32), np.full(1, 1e9, np.float32)
+    summarize_gather(points, 0, 12, 36, np.ones((12 * 36, 3)), distance, *bounds, records, 0)
+    assert records.radius[0] == pytest.approx(1.5 * 0.8, rel=0.01)
+    np.testing.assert_allclose(records.irradiance, math.pi, rtol=1e-6)
+    np.testing.assert_allclose(records.translation, 0, atol=1e-6)
 
-    Where the gradient would change the irradiance by more than itself over that length, its length wins.
-    """
+
+def test_steep_gradients_shorten_the_radius() -> None:
+    """Where the gradient would change the irradiance by more than itself over the mean distance, its length wins."""
     records = gathered(points_at(PLACES, NORMALS["upright"]))
     for row, place in enumerate(PLACES):
         slopes = np.linalg.norm(records.translation[row].reshape(3, 3), axis=1)
@@ -289,7 +300,7 @@ def test_gradients_pay(relative_error: Callable[..., tuple[float, Image]]) -> No
     assert steep < 0.5 * plain
 
 
-@pytest.mark.parametrize("tolerance", [0.1, 0.4])
+@pytest.mark.parametrize("tolerance", [0.2, 0.4])
 def test_records_reach_within_their_least_and_most_pixels(open_session: Open, tolerance: float) -> None:
     session = open_session("cornell-boxes", **{**SMALL, "irradiance_cache_tolerance": tolerance})
     context, camera = session.context, session.scene.camera

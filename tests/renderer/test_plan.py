@@ -49,12 +49,13 @@ def test_a_diffuse_scene_needs_no_caustics_and_no_specular_recursion() -> None:
     assert plan.left_out == {
         "caustics": "no specular surface",
         "specular_recursion": "no specular surface",
-        "irradiance_cache": "irradiance_cache_tolerance=0 gathers at every point",
+        "importance_sampling": "importance_sampling=false",
+        "shadow_photons": "use_shadow_photons=false",
     }
 
 
 def test_a_scene_with_mirror_and_glass_needs_everything() -> None:
-    plan = plan_of("cornell-spheres", irradiance_cache_tolerance=0.2)
+    plan = plan_of("cornell-spheres", importance_sampling=True, use_shadow_photons=True)
     assert plan.run == ["photon_map", "precomputed_irradiance", "direct", "indirect", "caustics"]
     assert plan.left_out == {}
 

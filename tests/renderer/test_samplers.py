@@ -216,11 +216,13 @@ def test_gather_rays_are_cosine_distributed(normal: tuple[float, float, float]) 
 def sampled_light(tables: SceneTables, count: int = 40_000) -> tuple[Any, Any, Any]:
     """Directions, distances and values of shadow rays from the floor's origin to light 0."""
     points = points_at((0, 0, 1e-5), (0, 0, 1))
-    origin, direction, value = (np.empty((count, 3), np.float32) for _ in range(3))
-    limit, owner = np.empty(count, np.float32), np.empty(count, np.int32)
-    written = shadow_rays(tables, 0, count, INDEPENDENT, points, 0, 1, origin, direction, limit, value, owner)
+    origin, direction = np.empty((2, count, 3), np.float32)
+    limit, weight = np.empty((2, count), np.float32)
+    owner = np.empty(count, np.int32)
+    written = shadow_rays(tables, 0, count, INDEPENDENT, points, 0, 1, origin, direction, limit, weight, owner)
     found = direction[:written].astype(np.float64)
-    return found, limit[:written] / (1 - 1e-4), value[:written].astype(np.float64) * count
+    value = weight[:written, None].astype(np.float64) * tables.light_radiance[0] * count
+    return found, limit[:written] / (1 - 1e-4), value
 
 
 def test_a_rectangle_light_is_sampled_uniformly_by_area(tables_of: Callable[[str], SceneTables]) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from joulebox_render.kernels.gathering import mark_short
+from joulebox_render.kernels.gathering import take_unsure
 from joulebox_render.records import Points
 from joulebox_render.stages import gather
 from scipy import stats
@@ -100,15 +100,28 @@ def test_a_thin_wall_leaks_less(
 def test_the_limit_varies_from_half_to_one_and_a_half_times_the_reach() -> None:
     """Short with the chance (1.5 - distance / reach), clipped: binomial, 4.5 sigma."""
     count = 20_000
-    points = Points.empty(count)
-    points.key[:], points.sample[:] = 77, np.arange(count)
+    points, near = Points.empty(count), Points.empty(count)
+    points.key[:], points.sample[:], points.owner[:] = 77, np.arange(count), np.arange(count)
+    sure = np.zeros(count, np.uint8)
     for share in (0.49, 0.75, 1.0, 1.25, 1.51):
-        points.distance[:] = share * 0.02
-        is_near = np.empty(count, np.bool_)
-        mark_short(points, 0.02, is_near)
+        points.distance[:], points.weight[:] = share * 0.02, 0.5
+        taken = take_unsure(points, sure, 0.02, near)
         chance = min(1.0, max(0.0, 1.5 - share))
-        assert abs(is_near.mean() - chance) <= 4.5 * math.sqrt(chance * (1 - chance) / count)
+        assert abs(taken / count - chance) <= 4.5 * math.sqrt(chance * (1 - chance) / count)
+        # What is taken counts there alone, and what is left here alone.
+        rows = near.owner[:taken]
+        assert np.all(np.diff(rows) > 0)
+        np.testing.assert_array_equal(near.weight[:taken], 0.5)
+        kept = np.setdiff1d(np.arange(count), rows)
+        assert not points.weight[rows].any()
+        np.testing.assert_array_equal(points.weight[kept], 0.5)
     points.distance[:] = np.random.default_rng(1).uniform(0.01, 0.03, count)
-    mark_short(points, 0.02, is_near)
-    p = stats.binomtest(int(is_near.sum()), count, 0.5).pvalue
-    assert p > 2e-4
+    assert stats.binomtest(take_unsure(points, sure, 0.02, near), count, 0.5).pvalue > 2e-4
+
+
+def test_unsure_places_are_taken_at_any_distance() -> None:
+    points, near = Points.empty(6), Points.empty(6)
+    points.key[:], points.sample[:], points.owner[:], points.distance[:] = 5, np.arange(6), np.arange(6), 9.0
+    unsure = np.array([0, 1, 1, 0, 0, 1], np.uint8)
+    assert take_unsure(points, unsure, 0.02, near) == 3
+    assert near.owner[:3].tolist() == [1, 2, 5]
