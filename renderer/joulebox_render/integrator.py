@@ -15,19 +15,13 @@ from joulebox_render.clock import StageClock
 from joulebox_render.kernels.gathering import add_weighted
 from joulebox_render.records import F4, F8, Camera, Points
 from joulebox_render.stages.context import Context
-from joulebox_render.stages.density import (
-    Illumination,
-    IrradianceRecords,
-    caustic_estimate,
-    global_estimate,
-    precompute_irradiance,
-    show_photons,
-)
+from joulebox_render.stages.density import caustic_estimate, global_estimate, show_photons
 from joulebox_render.stages.direct import light_directly
 from joulebox_render.stages.eye import look
 from joulebox_render.stages.gather import final_gather, trace_paths
 from joulebox_render.stages.irradiance_cache import IrradianceCache, cached_gather, fill_cache
 from joulebox_render.stages.photon_map import PhotonMap, build_photon_map, emit_and_store
+from joulebox_render.stages.precomputed import Illumination, IrradianceRecords, precompute_irradiance
 from joulebox_render.stages.shadow_photons import ShadowMap, build_shadow_map
 
 # Eye rays a band: enough work for many chunks a thread, in some tens of megabytes.

@@ -22,6 +22,8 @@ I1 = npt.NDArray[np.int8]
 U1 = npt.NDArray[np.uint8]
 U8 = npt.NDArray[np.uint64]
 
+# Photons of an estimate that are named with it.
+WITNESSES = 8
 # Codes shared with the kernels, which import only numbers.
 DIFFUSE, MIRROR, GLASS, BLACK, PHONG = 0, 1, 2, 3, 4
 SPHERE, DISK = 0, 1
@@ -268,19 +270,21 @@ class Estimates(NamedTuple):
 
     irradiance (N, 3) f4 [W m^-2]; radius (N,) f4 of each one's disc [m]; found (N,) i4, the photons that make it;
     lopsided (N,) f4, the squared distance of their centroid from the point over what it is in the mean where
-    photons fill the disc: exponentially distributed there, larger near edges.
+    photons fill the disc: exponentially distributed there, larger near edges; witness (N, WITNESSES) i4, rows of some
+    of the photons in the tree's order, -1 where there are none.
     """
 
     irradiance: F4
     radius: F4
     found: I4
     lopsided: F4
+    witness: I4
 
     @classmethod
     def empty(cls, count: int) -> Estimates:
         """Room for `count` estimates."""
         radius, lopsided = np.empty((2, count), np.float32)
-        return cls(_f4(count), radius, np.empty(count, np.int32), lopsided)
+        return cls(_f4(count), radius, np.empty(count, np.int32), lopsided, np.empty((count, WITNESSES), np.int32))
 
 
 def _f4(count: int) -> F4:

@@ -13,6 +13,8 @@ from joulebox_render.kernels.vector import row3, set_row3
 CONSTANT, CONE, EPANECHNIKOV = 0, 1, 2
 # Jensen's cone filter falls to 1 - 1 / CONE_STEEPNESS at the edge of the disc.
 CONE_STEEPNESS = 1.1
+# Photons of an estimate that are named with it.
+WITNESSES = 8
 # Dimension of the number that decides which gather rays are short.
 SHORT_DIMENSION = 9
 
@@ -70,9 +72,43 @@ def estimate_irradiance(tree, flux, position, normal, own, k, reach, cos_limit, 
             scale = 1.0 / (math.pi * radius2)
             red, green, blue = red * scale, green * scale, blue * scale
         set_row3(estimates.irradiance, q, red, green, blue)
+        for w in range(WITNESSES):
+            spread = w * inside // WITNESSES
+            estimates.witness[q, w] = candidate_row(scratch.candidates[spread]) if inside > 0 else -1
         estimates.radius[q], estimates.found[q] = math.sqrt(radius2), inside
         square = ax * ax + ay * ay + az * az
         estimates.lopsided[q] = 2.0 * square / (radius2 * inside) if radius2 * inside > 0.0 else 0.0
+
+
+@kernel
+def aim_at_witnesses(tree, witness, position, normal, epsilon, lift, origin, direction, limit):
+    """Rays from points to the photons named in witness (Q, W) i4; a ray of length 0 for -1 and for a point's own.
+
+    origin, direction (Q W, 3) and limit (Q W,) f4 [m] are overwritten. Both ends are raised along their normals by
+    epsilon [m] and `lift` of the distance.
+    """
+    for q in range(position.shape[0]):
+        for w in range(witness.shape[1]):
+            out, row = q * witness.shape[1] + w, witness[q, w]
+            px, py, pz = row3(position, q)
+            nx, ny, nz = row3(normal, q)
+            set_row3(origin, out, px + epsilon * nx, py + epsilon * ny, pz + epsilon * nz)
+            set_row3(direction, out, nx, ny, nz)
+            limit[out] = 0.0
+            if row < 0:
+                continue
+            ex, ey, ez = row3(tree.position, row)
+            mx, my, mz = row3(tree.normal, row)
+            distance = math.sqrt((ex - px) ** 2 + (ey - py) ** 2 + (ez - pz) ** 2)
+            if distance <= 4.0 * epsilon:
+                continue
+            up = epsilon + lift * distance
+            px, py, pz = px + up * nx, py + up * ny, pz + up * nz
+            dx, dy, dz = ex + up * mx - px, ey + up * my - py, ez + up * mz - pz
+            distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+            set_row3(origin, out, px, py, pz)
+            set_row3(direction, out, dx / distance, dy / distance, dz / distance)
+            limit[out] = distance
 
 
 @kernel
@@ -91,8 +127,8 @@ def reflect_irradiance(points, irradiance, radiance):
 def take_unsure(points, unsure, resolution, near):
     """Move points marked in unsure (N,) u1, or with a last ray shorter than about `resolution` [m], to `near`.
 
-    Returns how many. Their weights in `points` become 0. near is overwritten, in the order of the points. The limit varies from 0.5 to
-    1.5 of the resolution by chance, so that no line shows where the method changes.
+    Returns how many. Their weights in `points` become 0. near is overwritten, in the order of the points. The limit
+    varies from 0.5 to 1.5 of the resolution by chance, so that no line shows where the method changes.
     """
     count = 0
     for q in range(points.owner.shape[0]):

@@ -13,6 +13,8 @@ from joulebox_render.kernels.vector import row3, set_row3, tangent_frame
 
 # A record is not used for points this far behind its tangent plane, relative to its radius.
 BEHIND = 0.05
+# sin^2 of the polar angle, 80 degrees, from which on a surface is seen edge-on.
+EDGE_ON = 0.97
 _P1, _P2, _P3 = np.uint64(73856093), np.uint64(19349663), np.uint64(83492791)
 
 
@@ -23,7 +25,7 @@ def bucket_of(cx, cy, cz, mask):
 
 
 @kernel
-def summarize_gather(points, first, polar, azimuth, incident, distance, near, far, cache, row):
+def summarize_gather(points, first, polar, azimuth, tolerance, incident, distance, near, far, cache, row):
     """Make records of final gathers over stratified cosine grids; returns nothing.
 
     points    Points; their rows from `first` on become cache rows from `row` on, one for each gather in incident
@@ -31,8 +33,10 @@ def summarize_gather(points, first, polar, azimuth, incident, distance, near, fa
     near, far (gathers,) f4 least and largest radius that a record may have [m]
     cache     CacheRecords, rows overwritten
 
-    radius is the harmonic mean distance, no larger than lets the translational gradient change the irradiance by as
-    much as itself (Krivanek 2006), within [near, far]; where `near` wins, the gradient is scaled down alike.
+    radius is the harmonic mean distance, but with the tolerance it reaches no farther than the nearest surface that is
+    not seen edge-on, so that no record shines through a wall (as in Mitsuba 0.6), and no farther than lets the
+    translational gradient change the irradiance by as much as itself (Krivanek 2006); within [near, far]. Where
+    `near` wins, the gradient is scaled down alike.
     Gradients are Ward & Heckbert's, with exact integrals over a stratum's side: in column c of a record's nine
     numbers 3 c ... 3 c + 2 stands the world vector of channel c.
     """
@@ -41,10 +45,13 @@ def summarize_gather(points, first, polar, azimuth, incident, distance, near, fa
         point, out = first + gather, row + gather
         nx, ny, nz = row3(points.normal, point)
         sx, sy, sz, tx, ty, tz = tangent_frame(nx, ny, nz)
-        inverse = 0.0
+        inverse, closest = 0.0, 1e30
         for i in range(count):
-            inverse += 1.0 / max(1e-12, distance[gather * count + i])
-        radius = count / inverse
+            length = max(1e-12, distance[gather * count + i])
+            inverse += 1.0 / length
+            if (i % polar + 0.5) / polar < EDGE_ON and length < closest:
+                closest = length
+        radius = min(count / inverse, closest / tolerance)
         steepest = 0.0
         for c in range(3):
             total, across_x, across_y, turn_x, turn_y = 0.0, 0.0, 0.0, 0.0, 0.0

@@ -133,12 +133,14 @@ def aim_feelers(tree, row, position, normal, lift, length, origin, direction, li
 
 
 @kernel
-def look_up_irradiance(table, tree, records, position, normal, reach, cos_limit, scratch, irradiance, unsure):
+def look_up_irradiance(
+    table, tree, records, doubtful, position, normal, reach, cos_limit, scratch, irradiance, unsure
+):
     """Irradiance of each point's cell, or of the record nearest to it where the table has no such cell.
 
-    irradiance (Q, 3) f4 [W m^-2] and unsure (Q,) u1 are overwritten; unsure is 1 where something stands between or no
-    record lies within `reach` [m]. As the nearest record but for a cell's size, and five to ten times as fast;
-    returns how many cells were met. Source: Christensen 1999.
+    irradiance (Q, 3) f4 [W m^-2] and unsure (Q,) u1 are overwritten; unsure is 1 where something stands between, no
+    record lies within `reach` [m], or the record is marked in doubtful (R,) u1. As the nearest record but for a cell's
+    size, and five to ten times as fast; returns how many cells were met. Source: Christensen 1999.
     """
     met = 0
     for q in range(position.shape[0]):
@@ -153,7 +155,7 @@ def look_up_irradiance(table, tree, records, position, normal, reach, cos_limit,
             met += 1
             continue
         row = nearest_point(tree, x, y, z, nx, ny, nz, cos_limit, reach * reach, scratch)
-        unsure[q] = row < 0
+        unsure[q] = row < 0 or doubtful[row] > 0
         for c in range(3):
             irradiance[q, c] = records[row, c] if row >= 0 else 0.0
     return met

@@ -11,10 +11,10 @@ from joulebox_render.kernels.importance import CELL_COLUMNS, CELL_ROWS, incoming
 from joulebox_render.kernels.transport import continue_paths, gather_rays
 from joulebox_render.records import F4, F8, Points, Rays, Scratch, rows
 from joulebox_render.stages.context import Context
-from joulebox_render.stages.density import Illumination
 from joulebox_render.stages.direct import sample_lights
 from joulebox_render.stages.paths import follow_to_diffuse, join
 from joulebox_render.stages.photon_map import BOUNCED, CAUSTIC
+from joulebox_render.stages.precomputed import Illumination
 
 NOT_BENT: F4 = np.empty((0, CELL_ROWS * CELL_COLUMNS), np.float32)
 

@@ -21,10 +21,10 @@ from joulebox_render.kernels.irradiance import (
 from joulebox_render.kernels.transport import gather_rays
 from joulebox_render.records import F4, F8, I4, I8, U1, Camera, Points, Rays, rows
 from joulebox_render.stages.context import Context
-from joulebox_render.stages.density import Illumination
 from joulebox_render.stages.eye import camera_frame, look
 from joulebox_render.stages.gather import NOT_BENT, final_gather, incident_radiance
 from joulebox_render.stages.paths import join
+from joulebox_render.stages.precomputed import Illumination
 
 # Pixels between the overture's eye rays, coarse to fine.
 STEPS = (16, 8, 4, 2)
@@ -113,7 +113,10 @@ def gather_records(
         gather_rays(points, first, last, count, polar, NOT_BENT, rays)
         incident, distance, traced = incident_radiance(context, light, rays)
         part = CacheRecords.empty(last - first)
-        summarize_gather(points, first, polar, azimuth, incident, distance, near[first:last], far[first:last], part, 0)
+        summarize_gather(
+            points, first, polar, azimuth, settings.irradiance_cache_tolerance, incident, distance,
+            near[first:last], far[first:last], part, 0,
+        )  # fmt: skip
         return part, traced
 
     parts = list(context.pool.map_chunks(chunk, len(points.owner), count))
