@@ -162,7 +162,7 @@ def pytest(*arguments: str) -> int:
 
 
 def types(*arguments: str) -> int:
-    return call(program("mypy"), *(arguments or (*PACKAGES, "run.py", "docs/demo.py")))
+    return call(program("mypy"), *(arguments or (*PACKAGES, "run.py", "docs/demo.py", "docs/contact_sheet.py")))
 
 
 def wheels(*arguments: str) -> int:
@@ -218,6 +218,8 @@ TASKS = {
                   lambda *arguments: call(program("python"), "-m", "tests.bench", *arguments)),
     "references": Task("converged pictures of the scenes by Mitsuba, kept in the user's cache (SCENE ... [--passes N])",
                        lambda *arguments: call(program("python"), "-m", "tests.bench.references", *arguments)),
+    "contact-sheet": Task("every scene rendered into docs/scenes.png",
+                          lambda *arguments: call(program("python"), "docs/contact_sheet.py", *arguments)),
     "convergence": Task("error against every setting and against CPU time, drawn into docs/convergence.png",
                         lambda *arguments: call(program("python"), "-m", "tests.bench.convergence", *arguments)),
     "screenshots": Task("pictures of the dashboard over test data, in .demo/screenshots (or FOLDER [--url URL])",
@@ -233,7 +235,7 @@ def usage() -> int:
     """Print the tasks."""
     print("python run.py TASK [arguments]      make TASK [ARGS=arguments]\n")
     for name, task in TASKS.items():
-        print(f"  {name:<12} {task.summary}")
+        print(f"  {name:<13} {task.summary}")
     return 0
 
 

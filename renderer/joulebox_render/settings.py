@@ -97,6 +97,7 @@ class Settings(BaseModel):
 _DRAFT: dict[str, Any] = {
     "samples_per_pixel": 4, "shadow_rays": 2, "global_photons": 30_000, "caustic_photons": 30_000,
     "final_gather_rays": 144, "irradiance_cache_tolerance": 1.0, "caustic_gather_distance_m": 0.01,
+    "gather_distance_m": 0.04,
 }  # fmt: skip
 _FINE: dict[str, Any] = {
     "samples_per_pixel": 16, "shadow_rays": 8, "global_photons": 250_000, "caustic_photons": 200_000,

@@ -138,11 +138,12 @@ def look_up_irradiance(
 ):
     """Irradiance of each point's cell, or of the record nearest to it where the table has no such cell.
 
-    irradiance (Q, 3) f4 [W m^-2] and unsure (Q,) u1 are overwritten; unsure is 1 where something stands between, no
-    record lies within `reach` [m], or the record is marked in doubtful (R,) u1. As the nearest record but for a cell's
-    size, and five to ten times as fast; returns how many cells were met. Source: Christensen 1999.
+    irradiance (Q, 3) f4 [W m^-2] and unsure (Q,) u1 are overwritten; unsure is 1 where the cell is, or there is none;
+    in a table without cells, where no record lies within `reach` [m] or it is marked in doubtful (R,) u1. As the
+    nearest record but for a cell's size, and five to ten times as fast; returns how many cells were met.
+    Source: Christensen 1999.
     """
-    met = 0
+    met, has_cells = 0, table.key.shape[0] > 1
     for q in range(position.shape[0]):
         x, y, z = row3(position, q)
         nx, ny, nz = row3(normal, q)
@@ -155,7 +156,8 @@ def look_up_irradiance(
             met += 1
             continue
         row = nearest_point(tree, x, y, z, nx, ny, nz, cos_limit, reach * reach, scratch)
-        unsure[q] = row < 0 or doubtful[row] > 0
+        # Nothing is known of the way from a place between the cells to its record.
+        unsure[q] = has_cells or row < 0 or doubtful[row] > 0
         for c in range(3):
             irradiance[q, c] = records[row, c] if row >= 0 else 0.0
     return met

@@ -21,7 +21,7 @@ NOT_BENT: F4 = np.empty((0, CELL_ROWS * CELL_COLUMNS), np.float32)
 # No path is followed through more diffuse bounces; Russian roulette ends nearly all long before.
 MAX_PATH_BOUNCES = 1000
 # A gather ray's stretches shorter than the photon map's resolution that are gathered again before it is asked.
-MOST_SHORT = 3
+MOST_SHORT = 32
 
 
 def final_gather(context: Context, light: Illumination, points: Points, count: int) -> tuple[F8, int]:
@@ -84,7 +84,7 @@ def incident_radiance(context: Context, light: Illumination, rays: Rays) -> tupl
         if light.caustics is not None:
             reflect_irradiance(near, light.caustics(near.position, near.normal, near.key).irradiance, radiance)
         onward = Rays.empty(len(near.owner))
-        count = continue_paths(near, context.sobol, 0, onward)
+        count = continue_paths(near, context.sobol, stretch, onward)
         reached, _, through = follow_to_diffuse(
             context, Rays(*rows(onward, slice(0, count))), radiance,
             split=False, first_emission=False, specular_emission=emission,

@@ -29,7 +29,7 @@ from joulebox_render.stages.precomputed import Illumination
 # Pixels between the overture's eye rays, coarse to fine.
 STEPS = (16, 8, 4, 2)
 # A record reaches at least and at most this many pixels.
-LEAST_PIXELS, MOST_PIXELS = 1.5, 20.0
+LEAST_PIXELS, MOST_PIXELS = 0.7, 20.0
 # Records are placed at this share of the tolerance that they are used with, so that several blend at every point.
 PLACING = 0.6
 # Rays of a gather where no record reaches.

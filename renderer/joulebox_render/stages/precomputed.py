@@ -37,8 +37,6 @@ RECORD_SHADOW_RAYS = 4
 RECORD_STREAM = 3
 # Cells by which a table reaches beyond the records on every side, and to which it is filled around each at most.
 MARGIN = 16
-# Estimates of fewer photons are left for gather rays to look further.
-FEWEST_PHOTONS = 8
 # How far above the surface feelers run, in cells: a wall's foot is felt, a curve of the surface is not.
 FEELER_LIFT = 0.05
 # How far above the surface sight lines between records and their photons bulge, as a share of their length.
@@ -50,8 +48,9 @@ class IrradianceTable(NamedTuple):
 
     low (3,) f8, the cells' common corner [m]; cells_per_m, of a side; key (S,) u8, S a power of two, at most half of
     them cells (kernels.lookup.cell_key), the others NO_CELL; irradiance (S, 3) f4 [W m^-2]; unsure (S,) u1, 1 where
-    something stands within a cell's length or between it and its record (a thin wall, a corner, a contact), or the
-    record is doubtful.
+    something stands within a cell's length or between it and its record (a thin wall, a corner, a contact), the record
+    is doubtful, or there is none in reach. Whether to trust must not hang on how many photons an estimate found:
+    believing the lucky ones alone would make faint places too bright.
     """
 
     low: F8
@@ -64,8 +63,8 @@ class IrradianceTable(NamedTuple):
 class IrradianceRecords(NamedTuple):
     """Irradiance computed ahead at some photons' positions: tree, irradiance (R, 3) f4 in its order [W m^-2].
 
-    doubtful (R,) u1 marks those of too few photons, or of photons behind a wall. reach_m is how far a look-up may go:
-    records of every nth photon lie sqrt(n) times as far apart as photons. table answers nearly all look-ups.
+    doubtful (R,) u1 marks those with photons behind a wall. reach_m is how far a look-up may go: records of every nth
+    photon lie sqrt(n) times as far apart as photons. table answers nearly all look-ups.
     """
 
     tree: Tree
@@ -122,7 +121,7 @@ def precompute_irradiance(context: Context, photons: PhotonMap) -> IrradianceRec
         here, facing = position[first:last], normal[first:last]
         estimates = estimate(here, facing, np.arange(first, last, dtype=np.uint64), own=True)
         hidden = hides_photons(context, photons, here, facing, estimates)
-        doubtful[first:last] = hidden | (estimates.found < FEWEST_PHOTONS)
+        doubtful[first:last] = hidden
         return estimates._replace(irradiance=estimates.irradiance + direct_irradiance(context, first, here, facing))
 
     parts = list(context.pool.map_chunks(chunk, len(position), RAYS_PER_ESTIMATE))
