@@ -31,6 +31,8 @@ Open = Callable[..., Any]
 Render = Callable[..., Image]
 # Radiance comes from the plane z = 1 alone; a channel each: a broad blob, a blob off to a side, a lit rectangle.
 POLAR, AZIMUTH = 48, 150
+# A tolerance under which the nearest surface does not limit a record.
+LOOSE = 0.1
 RECTANGLE = ((-0.4, 0.3), (-0.2, 0.9))
 TILTED = np.array([0.3, -0.2, 0.9]) / np.linalg.norm([0.3, -0.2, 0.9])
 
@@ -73,7 +75,9 @@ def gathered(points: Points, polar: int = POLAR, azimuth: int = AZIMUTH) -> Cach
         at = points.position[row] + distance[:, None] * rays.direction
         incident = np.where(z[:, None] > 1e-3, radiance(at[:, 0], at[:, 1]), 0.0)
         near, far = np.zeros(1, np.float32), np.full(1, 1e9, np.float32)
-        summarize_gather(points, row, polar, azimuth, incident, distance.astype(np.float32), near, far, records, row)
+        summarize_gather(
+            points, row, polar, azimuth, LOOSE, incident, distance.astype(np.float32), near, far, records, row
+        )
     return records
 
 
@@ -126,10 +130,14 @@ def test_the_radius_is_the_harmonic_mean_distance() -> None:
     distance = (0.8 / np.maximum(rays.direction[:, 2], 1e-3)).astype(np.float32)
     records = CacheRecords.empty(1)
     bounds = np.zeros(1, np.float32), np.full(1, 1e9, np.float32)
-    summarize_gather(points, 0, 12, 36, np.ones((12 * 36, 3)), distance, *bounds, records, 0)
-    assert records.radius[0] == pytest.approx(1.5 * 0.8, rel=0.01)
-    np.testing.assert_allclose(records.irradiance, math.pi, rtol=1e-6)
-    np.testing.assert_allclose(records.translation, 0, atol=1e-6)
+    for tolerance in (LOOSE, 1.6):
+        summarize_gather(points, 0, 12, 36, tolerance, np.ones((12 * 36, 3)), distance, *bounds, records, 0)
+        # A record does not reach beyond the nearest surface, here straight above: tolerance x radius <= height.
+        expected = min(1.5 * 0.8, 0.8 / tolerance)
+        assert records.radius[0] == pytest.approx(expected, rel=0.01 if tolerance == LOOSE else 0.1)
+        assert tolerance == LOOSE or tolerance * records.radius[0] >= 0.8
+        np.testing.assert_allclose(records.irradiance, math.pi, rtol=1e-6)
+        np.testing.assert_allclose(records.translation, 0, atol=1e-6)
 
 
 def test_steep_gradients_shorten_the_radius() -> None:
@@ -154,8 +162,8 @@ def test_bounds_of_the_radius_are_kept_and_gradients_scaled() -> None:
         distance = (1 - points.position[row, 2]) / rays.direction[:, 2].astype(float)
         at = points.position[row] + distance[:, None] * rays.direction
         summarize_gather(
-            points, row, 12, 36, radiance(at[:, 0], at[:, 1]), distance.astype(np.float32), near[row : row + 1],
-            far[row : row + 1], bound, row,
+            points, row, 12, 36, LOOSE, radiance(at[:, 0], at[:, 1]), distance.astype(np.float32),
+            near[row : row + 1], far[row : row + 1], bound, row,
         )  # fmt: skip
     np.testing.assert_allclose(bound.radius, [free.radius[0], 5.0, 0.25], rtol=1e-6)
     np.testing.assert_allclose(bound.translation[1], free.translation[1] * free.radius[1] / 5.0, rtol=1e-4, atol=1e-6)
@@ -282,14 +290,17 @@ def relative_error(render: Render) -> Callable[..., tuple[float, Image]]:
 
 
 def test_tolerance_trades_records_for_error(relative_error: Callable[..., tuple[float, Image]]) -> None:
-    """Fewer records and more error as it grows; at 0.2 no more error than twice what 400 rays at every point have."""
+    """Fewer records and more error as it grows; at 0.2 no more error than twice what 400 rays at every point have.
+
+    Beyond 0.8 the nearest surfaces limit records, not the tolerance, so their number hardly falls.
+    """
     uncached, _ = relative_error()
     fine, coarse, coarser = (relative_error(irradiance_cache_tolerance=tolerance) for tolerance in (0.2, 0.8, 1.6))
     assert 0.00005 < uncached < 0.0005
     assert fine[0] < 2 * uncached + 0.0003
-    assert coarser[0] > 2 * coarse[0] > 4 * fine[0]
+    assert coarser[0] > 1.3 * coarse[0] > 1.3 * 1.4 * fine[0]
     counts = [image.irradiance_records for _, image in (fine, coarse, coarser)]
-    assert counts[0] > 1.7 * counts[1] > 1.7**2 * counts[2], counts
+    assert counts[0] > 1.3 * counts[1] > 1.3 * counts[2], counts
 
 
 def test_gradients_pay(relative_error: Callable[..., tuple[float, Image]]) -> None:

@@ -125,7 +125,7 @@ ROWS: dict[str, Row] = {
     "gather_filter": Row("constant", "cone", spread, 1.05, {**PHOTONS, "shadow_rays": 100}),
     "photon_spacing": Row(1, 10, records, 0.15),
     "final_gather_rays": Row(4, 64, spread, 0.6, {**GATHERED, "shadow_rays": 100}, "cornell-boxes"),
-    "irradiance_cache_tolerance": Row(0.2, 0.8, records, 0.5, CACHED, "cornell-boxes"),
+    "irradiance_cache_tolerance": Row(0.2, 0.8, records, 0.75, CACHED, "cornell-boxes"),
     "irradiance_gradients": Row(False, True, bending, 0.95, CACHED, "cornell-boxes"),
     "caustics": Row(False, True, brightness, 1.005, {"indirect": "none"}),
     "caustic_gather_count": Row(4, 200, caustic_spread, 0.5, {**CAUSTICS, "caustic_gather_distance_m": 0.5}),
