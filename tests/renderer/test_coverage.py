@@ -168,7 +168,7 @@ def test_the_edges_of_a_furnace_are_as_bright_as_the_rest(open_session: Open) ->
     random = np.random.default_rng(7)
     found = []
     for seed in range(3):
-        context = open_session("furnace", gather_count=1000, seed=seed).context
+        context = open_session("furnace", gather_count=1000, seed=seed, photon_spacing=0).context
         emission = emit_and_store(context)
         assert emission.global_photons is not None
         photons = build_photon_map(emission.global_photons, emission.global_emitted, 100_000)
