@@ -158,8 +158,8 @@ def clamp_neighbours(cache, grid, reach):
 def interpolate_irradiance(cache, grid, tolerance, gradients, points, irradiance, radius):
     """Irradiance (N, 3) f4 at points from the records that are good enough there, and their mean radius (N,) f4 [m].
 
-    radius is 0 where no record is good enough. w_i = 1 / (|x - x_i| / R_i + sqrt(1 - n . n_i)) - 1 / tolerance, where that is positive; records' order in the
-    grid is fixed, so sums do not depend on how the points were cut into chunks.
+    radius is 0 where no record is good enough. w_i = 1 / (|x - x_i| / R_i + sqrt(1 - n . n_i)) - 1 / tolerance, where
+    that is positive; records' order in the grid is fixed, so sums do not depend on how the points were cut into chunks.
     """
     least = 1.0 / tolerance
     for q in range(points.owner.shape[0]):

@@ -32,8 +32,8 @@ STEPS = (16, 8, 4, 2)
 LEAST_PIXELS, MOST_PIXELS = 0.7, 20.0
 # Records are placed at this share of the tolerance that they are used with, so that several blend at every point.
 PLACING = 0.6
-# A point must have this much of its records' radius free above it. Records that saw what is above reach no farther than it
-# is away, so that theirs is.
+# A point must have this much of its records' radius free above it. Records that saw what is above reach no farther
+# than it is away, so that theirs is.
 HEADROOM = 0.25
 # Rays of a gather where no record reaches.
 LEAST_RAYS = 16
