@@ -225,7 +225,8 @@ def _compile_all() -> None:
     messages.print("compiling the renderer's kernels for this machine (once, about a minute) ...", highlight=False)
     names = {entry.name for entry in list_scenes()}
     for settings in (
-        {"use_shadow_photons": True}, {"photon_spacing": 0, "indirect": "direct_visualization"}, {"indirect": "path"},
+        {"use_shadow_photons": True}, {"importance_sampling": True, "irradiance_cache_tolerance": 0.0},
+        {"photon_spacing": 0, "indirect": "direct_visualization"}, {"indirect": "path"},
     ):  # fmt: skip
         if "cornell-spheres" in names:
             with Session("cornell-spheres", make_settings(settings)):
