@@ -3,29 +3,44 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from joulebox_render.kernels.lookup import NO_CELL, cell_key, look_up_irradiance, nearest_irradiance
+from joulebox_render.kernels.lookup import NO_CELL, cell_key, look_up_irradiance, nearest_records
 from joulebox_render.pool import WorkerPool
 from joulebox_render.records import Scratch
-from joulebox_render.stages.density import IrradianceRecords, IrradianceTable, empty_table, tabulate
 from joulebox_render.stages.photon_map import grow_tree
+from joulebox_render.stages.precomputed import IrradianceRecords, IrradianceTable, empty_table, tabulate
 
 COS_LIMIT = math.cos(math.radians(30))
 EDGE = 0.01
 UP = (0.0, 0.0, 1.0)
 
 
-def records_at(position: Any, normal: Any, irradiance: Any, scale: float = 1.0) -> IrradianceRecords:
+def nothing_there(origin: Any, direction: Any, limit: Any) -> Any:
+    """Occlusion in an empty scene."""
+    return np.zeros(len(origin), np.uint8)
+
+
+def context_of(pool: WorkerPool, occluded: Callable[[Any, Any, Any], Any] = nothing_there) -> Any:
+    """What a table is built with: workers, and what stands in the way."""
+    return SimpleNamespace(pool=pool, intersector=SimpleNamespace(occluded=occluded))
+
+
+def records_at(
+    position: Any, normal: Any, irradiance: Any, scale: float = 1.0,
+    occluded: Callable[[Any, Any, Any], Any] = nothing_there,
+) -> IrradianceRecords:  # fmt: skip
     """Records with their table, all lengths times `scale`; points looked up lie 1e-6 above them."""
     position = np.asarray(position, np.float32) * np.float32(scale)
     tree, order = grow_tree(position, np.broadcast_to(np.asarray(normal, np.float32), position.shape).copy())
     values = np.ascontiguousarray(np.asarray(irradiance, np.float32)[order])
-    records = IrradianceRecords(tree, values, 4 * EDGE * scale, empty_table())
+    records = IrradianceRecords(tree, values, np.zeros(len(values), np.uint8), 4 * EDGE * scale, empty_table())
     with WorkerPool(2, 100) as pool:
-        table = tabulate(pool, records, COS_LIMIT, EDGE * scale, 1.3 * EDGE * scale, 1e-6 * scale)
+        table = tabulate(context_of(pool, occluded), records, COS_LIMIT, EDGE * scale, 1.3 * EDGE * scale, 1e-6 * scale)
     return records._replace(table=table)
 
 
@@ -33,10 +48,14 @@ def looked_up(records: IrradianceRecords, at: Any, normal: Any) -> tuple[Any, An
     """Irradiance (N, 3) by the table and by the nearest record, and how many points met a cell."""
     at = np.ascontiguousarray(at, np.float32)
     normals = np.broadcast_to(np.asarray(normal, np.float32), at.shape).copy()
-    fast, exact = np.empty((2, len(at), 3), np.float32)
-    rest = (records.tree, records.irradiance, at, normals, records.reach_m, COS_LIMIT, Scratch.empty(1))
-    met = look_up_irradiance(records.table, *rest, fast)
-    nearest_irradiance(*rest, exact)
+    fast = np.empty((len(at), 3), np.float32)
+    rest = (at, normals, records.reach_m, COS_LIMIT, Scratch.empty(1))
+    unsure, row = np.empty(len(at), np.uint8), np.empty(len(at), np.int32)
+    met = look_up_irradiance(
+        records.table, records.tree, records.irradiance, records.doubtful, *rest, fast, unsure
+    )
+    nearest_records(records.tree, *rest, row)
+    exact = np.where(row[:, None] >= 0, records.irradiance[row], np.float32(0))
     return fast, exact, met
 
 
@@ -99,7 +118,7 @@ def test_walls_do_not_leak() -> None:
 def test_directions_that_share_a_cell_are_less_than_45_degrees_apart() -> None:
     """Most are within 30: and those that scenes are full of share one with all directions up to 5 degrees off."""
     random = np.random.default_rng(3)
-    table = IrradianceTable(np.zeros(3), 1.0, np.full(1, NO_CELL), np.zeros((1, 3), np.float32))
+    table = IrradianceTable(np.zeros(3), 1.0, np.full(1, NO_CELL), np.zeros((1, 3), np.float32), np.zeros(1, np.uint8))
     directions = random.standard_normal((1500, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
     code = np.array([cell_key(table, 0.5, 0.5, 0.5, *direction) for direction in directions])
@@ -161,8 +180,45 @@ def test_the_table_does_not_depend_on_threads_or_chunks() -> None:
     tables = []
     for threads, chunk in ((1, 10_000), (3, 7)):
         with WorkerPool(threads, chunk) as pool:
-            tables.append(tabulate(pool, records, COS_LIMIT, EDGE, 1.3 * EDGE, 1e-6))
+            tables.append(tabulate(context_of(pool), records, COS_LIMIT, EDGE, 1.3 * EDGE, 1e-6))
     np.testing.assert_array_equal(tables[0].key, tables[1].key)
     filled = tables[0].key != NO_CELL
     assert filled.sum() <= len(filled) / 2
     np.testing.assert_array_equal(tables[0].irradiance[filled], tables[1].irradiance[filled])
+
+
+def test_cells_at_a_wall_and_beyond_it_are_unsure() -> None:
+    """Records on z = 0 left of a wall at x = 0 that no ray passes: cells that touch it, and those behind, are unsure.
+
+    A cell's feelers are one edge long and start at its middle, so cells whose middle is nearer than an edge feel the
+    wall; those two edges away do not, and have their record on their own side.
+    """
+    random = np.random.default_rng(9)
+    places = spread(random, 4000, 0.6)
+    places = places[places[:, 0] < 0]
+
+    def through_the_wall(origin: Any, direction: Any, limit: Any) -> Any:
+        end = origin[:, 0] + limit * direction[:, 0]
+        return ((origin[:, 0] < 0) != (end < 0)).astype(np.uint8)
+
+    records = records_at(places, UP, np.ones((len(places), 3)), occluded=through_the_wall)
+    at = np.zeros((600, 3), np.float32)
+    at[:, 0], at[:, 1] = np.repeat(np.linspace(-0.1, 0.02, 40), 15), np.tile(np.linspace(-0.2, 0.2, 15), 40)
+    irradiance, unsure = np.empty((len(at), 3), np.float32), np.empty(len(at), np.uint8)
+    look_up_irradiance(
+        records.table, records.tree, records.irradiance, records.doubtful, at,
+        np.tile(np.array(UP, np.float32), (len(at), 1)), records.reach_m, COS_LIMIT, Scratch.empty(1),
+        irradiance, unsure,
+    )  # fmt: skip
+    assert unsure[at[:, 0] > -EDGE / 2].all()
+    assert not unsure[at[:, 0] < -2 * EDGE].any()
+
+
+def test_a_doubtful_record_makes_its_cells_unsure() -> None:
+    random = np.random.default_rng(10)
+    records = records_at(spread(random, 500, 0.2), UP, np.ones((500, 3)))
+    records.doubtful[:] = 1
+    with WorkerPool(1) as pool:
+        table = tabulate(context_of(pool), records, COS_LIMIT, EDGE, 1.3 * EDGE, 1e-6)
+    assert table.unsure[table.key != NO_CELL].all()
+    assert not records.table.unsure[records.table.key != NO_CELL].all()
