@@ -174,9 +174,9 @@ def test_bounds_of_the_radius_are_kept_and_gradients_scaled() -> None:
 
 
 def asked(cache: IrradianceCache, points: Points, tolerance: float, gradients: bool) -> tuple[Any, Any]:
-    irradiance, found = np.empty((len(points.owner), 3), np.float32), np.empty(len(points.owner), np.uint8)
-    interpolate_irradiance(cache.records, cache.grid, tolerance, gradients, points, irradiance, found)
-    return irradiance.astype(float), found
+    irradiance, radius = np.empty((len(points.owner), 3), np.float32), np.empty(len(points.owner), np.float32)
+    interpolate_irradiance(cache.records, cache.grid, tolerance, gradients, points, irradiance, radius)
+    return irradiance.astype(float), (radius > 0).astype(int)
 
 
 def test_gradients_make_interpolation_better() -> None:
