@@ -167,20 +167,3 @@ def test_the_nearest_record_is_looked_up() -> None:
     np.testing.assert_array_equal(found, expected)
     assert (expected == 0).all(axis=1).any(), "some points lie beyond reach"
 
-
-def test_a_photon_does_not_count_at_its_own_place() -> None:
-    """At photons' own places 100 of them over-estimate by 1 / 98; without their own they are right on average.
-
-    2,000 places, each estimate with a standard deviation of about a tenth: 0.22 % for their mean were they
-    independent; neighbours share photons (a disc holds 100), so 4.5 sigma are taken of 20 independent discs' worth.
-    """
-    photons = plane(2.0)
-    inside = np.abs(photons.tree.position[:, :2]).max(axis=1) < 0.8
-    at = np.ascontiguousarray(photons.tree.position[inside][:2000])
-    normals = np.tile(np.array([0, 0, 1], np.float32), (len(at), 1))
-    estimate = DensityEstimate(photons, 10, 0.5, COS_LIMIT, FILTERS["constant"])
-    keys = np.zeros(len(at), np.uint64)
-    with_own, without = (estimate(at, normals, keys, own=own).irradiance.mean() for own in (False, True))
-    true = photons.flux[0].mean() * DENSITY
-    assert abs(with_own / without - 9 / 8) < 1e-3, "nine photons with its own, eight without"
-    assert abs(without / true - 1) < 0.05

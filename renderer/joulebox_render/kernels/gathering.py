@@ -30,7 +30,7 @@ def kernel_weight(kind, share2):
 
 
 @kernel
-def estimate_irradiance(tree, flux, position, normal, own, k, reach, cos_limit, filter_kind, scratch, estimates):
+def estimate_irradiance(tree, flux, position, normal, k, reach, cos_limit, filter_kind, scratch, estimates):
     """Irradiance at points from their nearest photons [W m^-2].
 
     E = sum_p w(d_p / r) flux_p / (pi r^2)
@@ -39,10 +39,8 @@ def estimate_irradiance(tree, flux, position, normal, own, k, reach, cos_limit, 
     k nearest within `reach` [m]; estimates is overwritten: irradiance, radius r, how many photons were found, and how
     lopsided they lie: the squared distance of their centroid over what it is in the mean where they fill a disc.
     Where k photons are found, r is the distance of the k-th and the sum leaves that one out: with it, the
-    estimate would be too large by k / (k - 1) in the mean. With fewer, r is `reach`. Where `own`, points are the
-    places of photons, and each photon is left out of the estimate at its own place: it is there for certain, and would
-    count as if it were by chance. Near edges the disc hangs over the surface and the estimate is too dark
-    (boundary bias). Source: Jensen 1996, eq. 5; Jensen 2001,
+    estimate would be too large by k / (k - 1) in the mean. With fewer, r is `reach`. Near edges the disc hangs
+    over the surface and the estimate is too dark (boundary bias). Source: Jensen 1996, eq. 5; Jensen 2001,
     section 7.2.
     """
     for q in range(position.shape[0]):
@@ -59,8 +57,6 @@ def estimate_irradiance(tree, flux, position, normal, own, k, reach, cos_limit, 
         if radius2 > 0.0:
             for i in range(inside):
                 entry = scratch.candidates[i]
-                if own and candidate_distance2(entry) <= 0.0:
-                    continue
                 weight = kernel_weight(filter_kind, candidate_distance2(entry) / radius2)
                 row = candidate_row(entry)
                 ax += tree.position[row, 0] - x

@@ -29,14 +29,11 @@ class DensityEstimate:
     filter_kind: int
     context: Context | None = None
 
-    def __call__(self, position: F4, normal: F4, key: U8, own: bool = False) -> Estimates:
-        """Irradiance at points with position [m] and normal (N, 3) f4 and random key (N,) u8.
-
-        `own`: the points are photons' places, and a photon does not count at its own.
-        """
+    def __call__(self, position: F4, normal: F4, key: U8) -> Estimates:
+        """Irradiance at points with position [m] and normal (N, 3) f4 and random key (N,) u8."""
         estimates = Estimates.empty(len(position))
         estimate_irradiance(
-            self.photons.tree, self.photons.flux, position, normal, own, self.count, self.reach_m,
+            self.photons.tree, self.photons.flux, position, normal, self.count, self.reach_m,
             self.cos_limit, self.filter_kind, Scratch.empty(self.count), estimates,
         )  # fmt: skip
         if self.context is not None:

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from joulebox_render.kernels.lighting import add_unblocked, shadow_rays
+from joulebox_render.kernels.lighting import add_close, add_unblocked, close_points, cosine_rays, shadow_rays
 from joulebox_render.kernels.shadow_photons import HIDDEN, LIT, find_cells
-from joulebox_render.records import F8, POINT_LIGHT, SPOT_LIGHT, U1, Points, rows
+from joulebox_render.records import F8, POINT_LIGHT, SPOT_LIGHT, U1, Points, Rays, rows
 from joulebox_render.stages.context import Context
 from joulebox_render.stages.shadow_photons import ShadowCells
 
@@ -72,7 +72,26 @@ def _sample_light(
     else:
         blocked = context.intersector.occluded(origin[:written], direction[:written], limit[:written])
     add_unblocked(tables, light, points, first, blocked, weight, owner, radiance)
-    return int(written)
+    return int(written) + _sample_close(context, light, points, first, last, count, radiance)
+
+
+def _sample_close(
+    context: Context, light: int, points: Points, first: int, last: int, count: int, radiance: F8
+) -> int:
+    """Add the parts of a light that points are so close to that its own samples leave them out; returns the rays."""
+    tables = context.tables
+    if tables.light_close[light] == 0.0:
+        return 0
+    row = np.empty(last - first, np.int32)
+    row = row[: close_points(tables, light, points, first, last, row)]
+    if not len(row):
+        return 0
+    rays = Rays.empty(len(row) * count)
+    u, v = np.empty((2, len(row) * count), np.float32)
+    cosine_rays(points, row, light, count, context.columns(count), u, v, rays)
+    hits = context.intersector.closest(rays.origin, rays.direction)
+    add_close(tables, light, points, first, count, rays, hits, radiance)
+    return len(rays.owner)
 
 
 def _sample_unknown(

@@ -7,10 +7,11 @@ place and normal answers nearly all look-ups, and knows where its answer is not 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from joulebox_render.kernels.gathering import WITNESSES, aim_at_witnesses
 from joulebox_render.kernels.lookup import (
@@ -113,15 +114,13 @@ def precompute_irradiance(context: Context, photons: PhotonMap) -> IrradianceRec
     chosen = photons.rank % step == 0
     position = np.ascontiguousarray(photons.tree.position[chosen])
     normal = np.ascontiguousarray(photons.tree.normal[chosen])
-    estimate = global_estimate(context, photons)
-
+    estimate = other_photons(context, photons, chosen)
     doubtful = np.empty(len(position), np.uint8)
 
     def chunk(first: int, last: int) -> Estimates:
         here, facing = position[first:last], normal[first:last]
-        estimates = estimate(here, facing, np.arange(first, last, dtype=np.uint64), own=True)
-        hidden = hides_photons(context, photons, here, facing, estimates)
-        doubtful[first:last] = hidden
+        estimates = estimate(here, facing, np.arange(first, last, dtype=np.uint64))
+        doubtful[first:last] = hides_photons(context, estimate.photons, here, facing, estimates)
         return estimates._replace(irradiance=estimates.irradiance + direct_irradiance(context, first, here, facing))
 
     parts = list(context.pool.map_chunks(chunk, len(position), RAYS_PER_ESTIMATE))
@@ -134,11 +133,30 @@ def precompute_irradiance(context: Context, photons: PhotonMap) -> IrradianceRec
     if not len(position):
         return records
     radius, count = float(np.median(estimates.radius)), max(1.0, float(np.median(estimates.found)))
-    spacing = radius * math.sqrt(math.pi * step / count)
+    spacing = radius * math.sqrt(math.pi * max(1, step - 1) / count)
     lift = float(context.tables.epsilon[0])
     # Estimates hardly change over half the radius of their discs.
     table = tabulate(context, records, estimate.cos_limit, 0.5 * radius, 1.5 * spacing, lift)
     return records._replace(table=table)
+
+
+def other_photons(context: Context, photons: PhotonMap, chosen: npt.NDArray[np.bool_]) -> DensityEstimate:
+    """The estimate in the global map without the photons `chosen` for records, whose share the others carry.
+
+    A look-up takes the nearest record, so around the place that asks there is none nearer: the records' own photons
+    are missing there, and one lies in the middle of the estimate. Of the others nothing is known. Where all photons
+    are records the two errors cancel, as long as the disc holds what is empty.
+    """
+    estimate = global_estimate(context, photons)
+    step = context.settings.photon_spacing
+    if step == 1:
+        return estimate
+    others = ~chosen
+    tree, order = grow_tree(photons.tree.position[others], photons.tree.normal[others])
+    flux = photons.flux[others][order] * np.float32(step / (step - 1))
+    columns = (np.ascontiguousarray(column[others][order]) for column in (photons.wi, photons.history, photons.rank))
+    rest = PhotonMap(tree, flux, *columns, len(flux), photons.emitted, photons.complete)
+    return replace(estimate, photons=rest, count=max(2, round(estimate.count * (step - 1) / step)))
 
 
 def hides_photons(context: Context, photons: PhotonMap, position: F4, normal: F4, estimates: Estimates) -> U1:
