@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from joulebox_render.kernels.gathering import WITNESSES, aim_at_witnesses
 from joulebox_render.kernels.lookup import (
     CELLS_A_SIDE,
     FEELERS,
@@ -27,7 +26,13 @@ from joulebox_render.kernels.lookup import (
 from joulebox_render.kernels.rng import path_key
 from joulebox_render.records import F4, F8, U1, U8, Estimates, Points, Scratch, Tree
 from joulebox_render.stages.context import Context
-from joulebox_render.stages.density import RAYS_PER_ESTIMATE, DensityEstimate, global_estimate, probe_keys
+from joulebox_render.stages.density import (
+    RAYS_PER_ESTIMATE,
+    DensityEstimate,
+    global_estimate,
+    probe_keys,
+    share_in_sight,
+)
 from joulebox_render.stages.direct import sample_lights
 from joulebox_render.stages.photon_map import PhotonMap, grow_tree
 
@@ -40,8 +45,6 @@ RECORD_STREAM = 3
 MARGIN = 16
 # How far above the surface feelers run, in cells: a wall's foot is felt, a curve of the surface is not.
 FEELER_LIFT = 0.05
-# How far above the surface sight lines between records and their photons bulge, as a share of their length.
-SIGHT_LIFT = 0.1
 
 
 class IrradianceTable(NamedTuple):
@@ -120,7 +123,9 @@ def precompute_irradiance(context: Context, photons: PhotonMap) -> IrradianceRec
     def chunk(first: int, last: int) -> Estimates:
         here, facing = position[first:last], normal[first:last]
         estimates = estimate(here, facing, np.arange(first, last, dtype=np.uint64))
-        doubtful[first:last] = hides_photons(context, estimate.photons, here, facing, estimates)
+        doubtful[first:last] = (
+            share_in_sight(context, estimate.photons, here, facing, estimates.witness) < 1
+        )
         return estimates._replace(irradiance=estimates.irradiance + direct_irradiance(context, first, here, facing))
 
     parts = list(context.pool.map_chunks(chunk, len(position), RAYS_PER_ESTIMATE))
@@ -154,26 +159,11 @@ def other_photons(context: Context, photons: PhotonMap, chosen: npt.NDArray[np.b
     others = ~chosen
     tree, order = grow_tree(photons.tree.position[others], photons.tree.normal[others])
     flux = photons.flux[others][order] * np.float32(step / (step - 1))
-    columns = (np.ascontiguousarray(column[others][order]) for column in (photons.wi, photons.history, photons.rank))
-    rest = PhotonMap(tree, flux, *columns, len(flux), photons.emitted, photons.complete)
+    wi, history, rank = (
+        np.ascontiguousarray(column[others][order]) for column in (photons.wi, photons.history, photons.rank)
+    )
+    rest = replace(photons, tree=tree, flux=flux, wi=wi, history=history, rank=rank, stored=len(flux))
     return replace(estimate, photons=rest, count=max(2, round(estimate.count * (step - 1) / step)))
-
-
-def hides_photons(context: Context, photons: PhotonMap, position: F4, normal: F4, estimates: Estimates) -> U1:
-    """Whether something stands between points and photons of their estimates, (N,) u1: a wall thinner than the disc.
-
-    A few photons of each estimate are looked at. Sight lines run a tenth of their length above the surface, clear of
-    what it curves.
-    """
-    room = len(position) * WITNESSES
-    origin, direction = np.empty((2, room, 3), np.float32)
-    limit = np.empty(room, np.float32)
-    aim_at_witnesses(
-        photons.tree, estimates.witness, position, normal, float(context.tables.epsilon[0]), SIGHT_LIFT,
-        origin, direction, limit,
-    )  # fmt: skip
-    hidden: U1 = context.intersector.occluded(origin, direction, limit).reshape(-1, WITNESSES).max(axis=1)
-    return hidden
 
 
 def direct_irradiance(context: Context, first: int, position: F4, normal: F4) -> F4:
