@@ -10,18 +10,10 @@ import numpy as np
 import pytest
 from joulebox_render.session import Image, Session
 from joulebox_render.settings import make_settings
+from plain_settings import PLAIN
 
 # A camera at the origin that looks along -z, so that film x runs along +x and film y along -y.
 CAMERA = '<transform name="to_world"><lookat origin="0,0,0" target="0,0,-1" up="0,1,0"/></transform>'
-
-# The plain method: each estimate at each point, nothing reused or aimed. Tests name what they use beyond, so that
-# they do not depend on the presets.
-PLAIN: dict[str, Any] = {
-    "threads": 2, "samples_per_pixel": 4, "shadow_rays": 36, "sampler": "stratified", "caustic_photons": 50_000,
-    "caustic_hints": False, "gather_count": 100, "caustic_gather_count": 100, "caustic_gather_distance_m": 0.01,
-    "final_gather_rays": 64, "irradiance_cache_tolerance": 0.0, "importance_sampling": False,
-}  # fmt: skip
-
 
 def scene_text(body: str, camera: str = CAMERA, fov_deg: float = 60.0) -> str:
     """A scene file around `body`: a camera with a square film of 16 x 16 pixels."""

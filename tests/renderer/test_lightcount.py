@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import PLAIN
 from joulebox_render.session import Session
 from joulebox_render.settings import make_settings
+from plain_settings import PLAIN
 
 SIZE = 64
 SETTINGS: dict[str, Any] = {**PLAIN, "width": SIZE, "height": SIZE, "samples_per_pixel": 9}
