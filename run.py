@@ -162,7 +162,7 @@ def pytest(*arguments: str) -> int:
 
 
 def types(*arguments: str) -> int:
-    return call(program("mypy"), *(arguments or (*PACKAGES, "run.py", "docs/demo.py")))
+    return call(program("mypy"), *(arguments or (*PACKAGES, "run.py", "docs/demo.py", "docs/contact_sheet.py")))
 
 
 def wheels(*arguments: str) -> int:
@@ -214,8 +214,14 @@ TASKS = {
     "lint": Task("ruff", lambda *arguments: call(program("ruff"), "check", *(arguments or (".",)))),
     "types": Task("mypy --strict on our packages", types),
     "walls": Task("import-linter: who may import whom", lambda *_: call(program("lint-imports"))),
-    "bench": Task("benchmarks of the renderer",
-                  lambda *arguments: call(program("joulebox-render"), "bench", *arguments)),
+    "bench": Task("the renderer's goals and what is measured, beside Mitsuba, into docs/bench.md (--full: everything)",
+                  lambda *arguments: call(program("python"), "-m", "tests.bench", *arguments)),
+    "references": Task("converged pictures of the scenes by Mitsuba, kept in the user's cache (SCENE ... [--passes N])",
+                       lambda *arguments: call(program("python"), "-m", "tests.bench.references", *arguments)),
+    "contact-sheet": Task("every scene rendered into docs/scenes.png",
+                          lambda *arguments: call(program("python"), "docs/contact_sheet.py", *arguments)),
+    "convergence": Task("error against every setting and against CPU time, drawn into docs/convergence.png",
+                        lambda *arguments: call(program("python"), "-m", "tests.bench.convergence", *arguments)),
     "screenshots": Task("pictures of the dashboard over test data, in .demo/screenshots (or FOLDER [--url URL])",
                         lambda *arguments: call(program("python"), "tests/web/screenshots.py",
                                                 *(arguments or (".demo/screenshots",)))),
@@ -229,7 +235,7 @@ def usage() -> int:
     """Print the tasks."""
     print("python run.py TASK [arguments]      make TASK [ARGS=arguments]\n")
     for name, task in TASKS.items():
-        print(f"  {name:<12} {task.summary}")
+        print(f"  {name:<13} {task.summary}")
     return 0
 
 

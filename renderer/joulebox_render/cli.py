@@ -145,12 +145,15 @@ def schema(json_: JsonOption = True) -> None:
 def bench(
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Markdown file to write as well.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="64x64 pixels: seconds instead of minutes.")] = False,
+    json_: JsonOption = False,
 ) -> None:
-    """Time against error of presets and path tracing, and rates of rays against bare Embree."""
-    from joulebox_render.bench import run_bench
+    """Time against error of presets and path tracing, and what stages make of their rays against bare Embree."""
+    from joulebox_render.bench import markdown, run_bench
 
-    report = run_bench(lambda text: messages.print(text, style="dim", highlight=False), quick)
-    print(report)
+    _check_target(output)
+    measured = run_bench(lambda text: messages.print(text, style="dim", highlight=False), quick)
+    report = markdown(measured)
+    print(json.dumps(measured, indent=1) if json_ else report)
     if output:
         write_text(output, report)
 
@@ -221,7 +224,10 @@ def _compile_all() -> None:
         return
     messages.print("compiling the renderer's kernels for this machine (once, about a minute) ...", highlight=False)
     names = {entry.name for entry in list_scenes()}
-    for settings in ({}, {"photon_spacing": 0, "indirect": "direct_visualization"}, {"indirect": "path"}):
+    for settings in (
+        {"use_shadow_photons": True}, {"importance_sampling": True, "irradiance_cache_tolerance": 0.0},
+        {"photon_spacing": 0, "indirect": "direct_visualization"}, {"indirect": "path"},
+    ):  # fmt: skip
         if "cornell-spheres" in names:
             with Session("cornell-spheres", make_settings(settings)):
                 pass

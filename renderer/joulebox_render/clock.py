@@ -14,6 +14,8 @@ STAGES = ("photon_map", "precomputed_irradiance", "direct", "indirect", "caustic
 class Interval:
     """One stretch of one stage: perf_counter_ns times, the process's CPU time in it [s], rays traced.
 
+    rays_saved counts those that shadow photons made needless.
+
     part names a piece of a stage ("emission", "construction"); through_specular marks work on what is seen
     through mirrors and glass, which the thesis books under direct lighting.
     """
@@ -25,6 +27,7 @@ class Interval:
     end_ns: int = 0
     cpu_s: float = 0.0
     rays: int = 0
+    rays_saved: int = 0
 
     @property
     def time_s(self) -> float:

@@ -7,7 +7,7 @@ bands of the image so that memory does not grow with the resolution and an inter
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,19 +15,14 @@ from joulebox_render.clock import StageClock
 from joulebox_render.kernels.gathering import add_weighted
 from joulebox_render.records import F4, F8, Camera, Points
 from joulebox_render.stages.context import Context
+from joulebox_render.stages.density import caustic_estimate, global_estimate, show_photons
 from joulebox_render.stages.direct import light_directly
 from joulebox_render.stages.eye import look
-from joulebox_render.stages.gather import (
-    DensityEstimate,
-    IrradianceRecords,
-    caustic_estimate,
-    final_gather,
-    global_estimate,
-    precompute_irradiance,
-    show_photons,
-    trace_paths,
-)
+from joulebox_render.stages.gather import final_gather, trace_paths
+from joulebox_render.stages.irradiance_cache import IrradianceCache, cached_gather, fill_cache
 from joulebox_render.stages.photon_map import PhotonMap, build_photon_map, emit_and_store
+from joulebox_render.stages.precomputed import Illumination, IrradianceRecords, precompute_irradiance
+from joulebox_render.stages.shadow_photons import ShadowMap, build_shadow_map
 
 # Eye rays a band: enough work for many chunks a thread, in some tens of megabytes.
 BAND_RAYS = 131_072
@@ -40,6 +35,8 @@ class Maps:
     global_map: PhotonMap | None
     caustic_map: PhotonMap | None
     irradiance: IrradianceRecords | None
+    cache: IrradianceCache | None = None
+    shadow_map: ShadowMap | None = None
 
 
 @dataclass(frozen=True)
@@ -57,6 +54,11 @@ def render_image(
     settings = context.settings
     assert settings.width and settings.height
     maps = make_maps(context, clock)
+    if context.plan.irradiance_cache:
+        with clock.stage("indirect", part="overture") as interval:
+            cache, rays = fill_cache(context, camera, illumination(context, maps))
+            interval.rays += rays
+        maps = replace(maps, cache=cache)
     pixel_count = settings.width * settings.height
     band = max(1, BAND_RAYS // settings.samples_per_pixel)
     pixels = np.empty((pixel_count, 3), np.float32)
@@ -71,7 +73,7 @@ def render_image(
 def make_maps(context: Context, clock: StageClock) -> Maps:
     """Emit photons, build the maps, precompute irradiance: what the plan asks for."""
     settings, plan = context.settings, context.plan
-    global_map = caustic_map = irradiance = None
+    global_map = caustic_map = irradiance = shadow_map = None
     if plan.global_map or plan.caustic_map:
         with clock.stage("photon_map", part="emission") as interval:
             emission = emit_and_store(context)
@@ -85,10 +87,14 @@ def make_maps(context: Context, clock: StageClock) -> Maps:
                 caustic_map = build_photon_map(
                     emission.caustic_photons, emission.caustic_emitted, settings.caustic_photons
                 )
+    if plan.shadow_photons:
+        with clock.stage("photon_map", part="shadow_photons") as interval:
+            shadow_map = build_shadow_map(context)
+            interval.rays += shadow_map.rays
     if plan.precomputed_irradiance and global_map is not None:
         with clock.stage("precomputed_irradiance"):
             irradiance = precompute_irradiance(context, global_map)
-    return Maps(global_map, caustic_map, irradiance)
+    return Maps(global_map, caustic_map, irradiance, shadow_map=shadow_map)
 
 
 def render_band(
@@ -111,9 +117,10 @@ def light_points(
 ) -> None:
     """Add direct light, indirect light and caustics at points to their pixels' radiance (pixels, 3) f8."""
     with clock.stage("direct", through_specular=through_specular) as interval:
-        light, rays = light_directly(context, points)
-        add_weighted(points, light, radiance)
-        interval.rays += rays
+        direct = light_directly(context, points, maps.shadow_map.cells if maps.shadow_map else None)
+        add_weighted(points, direct.radiance, radiance)
+        interval.rays += direct.rays
+        interval.rays_saved += direct.rays_saved
     if context.plan.indirect:
         with clock.stage("indirect", through_specular=through_specular) as interval:
             light, rays = indirect_light(context, maps, points)
@@ -128,9 +135,16 @@ def indirect_light(context: Context, maps: Maps, points: Points) -> tuple[F8, in
     """Indirect light at points by the method that the settings name, and the rays it took."""
     if maps.global_map is None:
         return trace_paths(context, points)
-    estimate: DensityEstimate = global_estimate(context, maps.global_map)
-    if context.settings.indirect == "final_gather":
-        return final_gather(context, estimate, maps.irradiance, points)
-    return show_photons(context, estimate, points), 0
+    if context.settings.indirect == "direct_visualization":
+        return show_photons(context, global_estimate(context, maps.global_map), points), 0
+    light = illumination(context, maps)
+    if maps.cache is not None:
+        return cached_gather(context, maps.cache, light, points)
+    return final_gather(context, light, points, context.settings.final_gather_rays)
 
 
+def illumination(context: Context, maps: Maps) -> Illumination:
+    """What gather rays ask where they end."""
+    assert maps.global_map is not None
+    caustics = caustic_estimate(context, maps.caustic_map) if maps.caustic_map else None
+    return Illumination(global_estimate(context, maps.global_map), maps.irradiance, caustics)

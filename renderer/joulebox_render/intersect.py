@@ -1,7 +1,8 @@
-"""Ray queries: Embree for triangles, closed forms for spheres and disks, behind one interface.
+"""Ray queries: Embree or a BVH for triangles, closed forms for spheres and disks, behind one interface.
 
-Embree is called through embreex in batches; it and the kernels release the GIL, so threads of the worker pool
-trace at the same time. A query's answer does not depend on the batch it was asked in.
+Embree is called through embreex in batches; where embreex has no wheel (ARM Linux) our own bounding volume
+hierarchy takes its place. Both, and the kernels, release the GIL, so threads of the worker pool trace at the same
+time. A query's answer does not depend on the batch it was asked in.
 """
 
 from __future__ import annotations
@@ -9,24 +10,50 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 
+from joulebox_render.bvh import Bvh, Stack, grow_bvh
+from joulebox_render.errors import SettingsError
+from joulebox_render.kernels.bvh import closest_triangles, occluded_triangles
 from joulebox_render.kernels.surface import closest_analytic, merge_embree_hits, occluded_analytic
 from joulebox_render.records import F4, U1, Hits
 from joulebox_render.tables import SceneTables
 
-NAME = "embree"
+try:
+    from embreex.mesh_construction import TriangleMesh
+    from embreex.rtcore_scene import EmbreeScene
+except ImportError:
+    TriangleMesh = EmbreeScene = None
+
 FAR = np.float32(1e30)
 
 
-class Intersector:
-    """The acceleration structure of one scene."""
+def choose(wanted: str) -> str:
+    """"embree" or "bvh" for what was asked for; "auto" is Embree where embreex can be imported.
 
-    def __init__(self, tables: SceneTables) -> None:
+    Raises SettingsError for anything else, and for Embree where there is none.
+    """
+    if wanted not in ("auto", "embree", "bvh"):
+        raise SettingsError(f"intersector is auto, embree or bvh, not {wanted!r}")
+    if wanted == "embree" and EmbreeScene is None:
+        raise SettingsError("the intersector embree needs the package embreex, which cannot be imported; take bvh")
+    if wanted == "auto":
+        return "bvh" if EmbreeScene is None else "embree"
+    return wanted
+
+
+class Intersector:
+    """The acceleration structure of one scene; `name` says which it is, "embree" or "bvh"."""
+
+    def __init__(self, tables: SceneTables, wanted: str = "auto") -> None:
+        self.name = choose(wanted)
         self.tables = tables
         self.embree: Any = None
-        if len(tables.triangles):
+        self.bvh: Bvh | None = None
+        if len(tables.triangles) == 0:
+            return
+        if self.name == "bvh":
+            self.bvh = grow_bvh(tables.vertices, tables.triangles)
+        else:
             self.embree = EmbreeScene(robust=True)
             TriangleMesh(self.embree, tables.vertices, tables.triangles)
             # Embree commits on the first query, which must not happen on two threads at once.
@@ -37,11 +64,13 @@ class Intersector:
         count = len(origin)
         distance = np.full(count, FAR, np.float32)
         primitive = np.full(count, -1, np.int32)
-        u = v = np.zeros(count, np.float32)
+        u, v = np.zeros((2, count), np.float32)
         if self.embree is not None and count:
             answer = self.embree.run(origin, direction, query="INTERSECT", output=True)
             merge_embree_hits(answer["tfar"], answer["primID"], distance, primitive, FAR)
             u, v = answer["u"], answer["v"]
+        elif self.bvh is not None:
+            closest_triangles(self.bvh, origin, direction, Stack.empty(), distance, primitive, u, v)
         if len(self.tables.analytic_kind):
             closest_analytic(self.tables, origin, direction, distance, primitive)
         return Hits(distance, primitive, u, v)
@@ -53,6 +82,8 @@ class Intersector:
         if self.embree is not None and count:
             answer = self.embree.run(origin, direction, dists=limit.copy(), query="OCCLUDED")
             blocked = (answer >= 0).view(np.uint8)
+        elif self.bvh is not None:
+            occluded_triangles(self.bvh, origin, direction, limit, Stack.empty(), blocked)
         if len(self.tables.analytic_kind):
             occluded_analytic(self.tables, origin, direction, limit, blocked)
         return blocked

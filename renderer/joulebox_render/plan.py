@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from joulebox_render.records import GLASS, MIRROR, Scene
+import numpy as np
+
+from joulebox_render.records import ENVIRONMENT, GLASS, MIRROR, PHONG, POINT_LIGHT, SPOT_LIGHT, Scene
 from joulebox_render.settings import Settings
 
 
@@ -19,14 +21,18 @@ class Plan:
     precomputed_irradiance: bool
     caustic_map: bool
     specular_recursion: bool
+    glossy: bool
+    irradiance_cache: bool
+    importance_sampling: bool
     left_out: dict[str, str] = field(default_factory=dict)
     indirect: bool = True
+    shadow_photons: bool = False
 
     @property
     def run(self) -> list[str]:
         """Stages that run, in their order."""
         stages = {
-            "photon_map": self.global_map or self.caustic_map,
+            "photon_map": self.global_map or self.caustic_map or self.shadow_photons,
             "precomputed_irradiance": self.precomputed_irradiance,
             "direct": True,
             "indirect": self.indirect,
@@ -38,7 +44,7 @@ class Plan:
 def make_plan(scene: Scene, settings: Settings, force_all: bool = False) -> Plan:
     """Derive the plan; `force_all` runs what the settings ask for even where the scene cannot show it."""
     used = set(scene.materials.kind[scene.material].tolist())
-    specular = force_all or bool(used & {MIRROR, GLASS})
+    specular = force_all or bool(used & {MIRROR, GLASS, PHONG})
     left_out: dict[str, str] = {}
 
     photon_method = settings.indirect in ("direct_visualization", "final_gather")
@@ -51,10 +57,22 @@ def make_plan(scene: Scene, settings: Settings, force_all: bool = False) -> Plan
             if settings.indirect == "final_gather"
             else "nothing looks it up without final gathering"
         )
+    cached = settings.indirect == "final_gather" and settings.irradiance_cache_tolerance > 0
+    if not cached:
+        left_out["irradiance_cache"] = (
+            "irradiance_cache_tolerance=0 gathers at every point"
+            if settings.indirect == "final_gather"
+            else "nothing uses it without final gathering"
+        )
+    if settings.indirect == "final_gather" and not settings.importance_sampling:
+        left_out["importance_sampling"] = "importance_sampling=false"
     caustics = _caustic_reason(settings, specular)
     if caustics:
         left_out["caustics"] = caustics
-    if not photon_method and caustics:
+    no_test = _shadow_reason(scene, settings, force_all)
+    if no_test:
+        left_out["shadow_photons"] = no_test
+    if not photon_method and caustics and no_test:
         left_out["photon_map"] = "no stage asks for photons"
     if not specular:
         left_out["specular_recursion"] = "no specular surface"
@@ -65,8 +83,12 @@ def make_plan(scene: Scene, settings: Settings, force_all: bool = False) -> Plan
         precomputed_irradiance=precompute,
         caustic_map=not caustics,
         specular_recursion=specular,
+        glossy=force_all or PHONG in used,
+        irradiance_cache=cached,
+        importance_sampling=settings.importance_sampling and settings.indirect == "final_gather",
         left_out=left_out,
         indirect=settings.indirect != "none",
+        shadow_photons=not no_test,
     )
 
 
@@ -79,3 +101,14 @@ def _caustic_reason(settings: Settings, specular: bool) -> str:
     if settings.caustic_photons == 0:
         return "caustic_photons=0"
     return "" if specular else "no specular surface"
+
+
+def _shadow_reason(scene: Scene, settings: Settings, force_all: bool) -> str:
+    """Why there are no direct and shadow photons; empty where there are."""
+    if not settings.use_shadow_photons:
+        return "use_shadow_photons=false"
+    if settings.direct_photons == 0:
+        return "direct_photons=0"
+    if force_all or not np.isin(scene.lights.kind, (POINT_LIGHT, SPOT_LIGHT, ENVIRONMENT)).all():
+        return ""
+    return "no area light: a point light takes one ray, and the sky is in part hidden almost everywhere"

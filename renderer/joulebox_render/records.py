@@ -22,10 +22,12 @@ I1 = npt.NDArray[np.int8]
 U1 = npt.NDArray[np.uint8]
 U8 = npt.NDArray[np.uint64]
 
+# Photons of an estimate that are named with it.
+WITNESSES = 8
 # Codes shared with the kernels, which import only numbers.
-DIFFUSE, MIRROR, GLASS, BLACK = 0, 1, 2, 3
+DIFFUSE, MIRROR, GLASS, BLACK, PHONG = 0, 1, 2, 3, 4
 SPHERE, DISK = 0, 1
-POINT_LIGHT, SPOT_LIGHT, RECTANGLE_LIGHT, DISK_LIGHT, SPHERE_LIGHT, MESH_LIGHT = 0, 1, 2, 3, 4, 5
+POINT_LIGHT, SPOT_LIGHT, RECTANGLE_LIGHT, DISK_LIGHT, SPHERE_LIGHT, MESH_LIGHT, ENVIRONMENT = 0, 1, 2, 3, 4, 5, 6
 
 
 @dataclass(frozen=True)
@@ -49,14 +51,18 @@ class Camera:
 class Materials:
     """One row a bsdf.
 
-    kind       (M,) i4  DIFFUSE | MIRROR | GLASS | BLACK (a bsdf that reflects nothing)
+    kind       (M,) i4  DIFFUSE | MIRROR | GLASS | PHONG | BLACK (a bsdf that reflects nothing)
     albedo     (M, 3) f4  diffuse reflectance, or specular reflectance of a mirror, 0..1, linear Rec.709
+    glossy     (M, 3) f4  reflectance of a Phong lobe, else 0; albedo + glossy <= 1
+    exponent   (M,) f4  of a Phong lobe, else 0
     ior        (M,) f4  inside / outside index of refraction (glass), else 1
     two_sided  (M,) u1  1: the back reflects too (Mitsuba's `twosided`); 0: the back of a diffuse surface is black
     """
 
     kind: I4
     albedo: F4
+    glossy: F4
+    exponent: F4
     ior: F4
     two_sided: U1
 
@@ -65,17 +71,20 @@ class Materials:
 class Lights:
     """One row a light (all triangles of an emitting mesh are one light).
 
-    kind       (L,) i4  POINT_LIGHT ... MESH_LIGHT
-    radiance   (L, 3) f4  emitted radiance [W m^-2 sr^-1] of area lights, intensity [W sr^-1] of point and spot
-    position   (L, 3) f4  point/spot: position; rectangle: centre; disk and sphere: centre
+    kind       (L,) i4  POINT_LIGHT ... ENVIRONMENT
+    radiance   (L, 3) f4  emitted radiance [W m^-2 sr^-1] of area lights and of the environment, intensity [W sr^-1]
+               of point and spot
+    position   (L, 3) f4  point/spot: position; rectangle: centre; disk and sphere: centre; environment: centre of a
+               ball around the scene
     edge_u, edge_v (L, 3) f4  rectangle: half edges, so corners are position +-edge_u +-edge_v; disk: radius vectors
     normal     (L, 3) f4  unit, side that emits (rectangle, disk); sphere: as Scene.analytic_normal;
                spot: unit direction of its axis
-    radius     (L,) f4  sphere
-    area       (L,) f4  [m^2]; 0 for point and spot
+    radius     (L,) f4  sphere; environment: of the ball around the scene
+    area       (L,) f4  [m^2]; 0 for point, spot and environment
     cone_cos   (L, 2) f4  spot: cosines of beam_width and cutoff_angle
     triangle_first, triangle_count (L,) i4  mesh: rows of Scene.triangles
-    power      (L, 3) f4  emitted flux [W]: pi * area * radiance, or 4 pi * intensity for a point
+    power      (L, 3) f4  emitted flux [W]: pi * area * radiance, 4 pi * intensity for a point, and for the
+               environment what enters its ball
     """
 
     kind: I4
@@ -134,7 +143,8 @@ class Rays(NamedTuple):
     """A queue of rays: what each counts for whom, and its random key.
 
     origin [m], direction (unit), weight (N, 3) f4; owner (N,) i8, the row that the ray's result is added to
-    (a pixel, a point, or a photon's number); key (N,) u8. A photon's weight is its flux [W].
+    (a pixel or a point); key (N,) u8 and sample (N,) i8, see kernels.rng: a family of paths, and the path's number
+    in it. A photon's weight is its flux [W], its sample the number of its emission.
     """
 
     origin: F4
@@ -142,11 +152,15 @@ class Rays(NamedTuple):
     weight: F4
     owner: I8
     key: U8
+    sample: I8
 
     @classmethod
     def empty(cls, count: int) -> Rays:
         """Room for `count` rays."""
-        return cls(_f4(count), _f4(count), _f4(count), np.empty(count, np.int64), np.empty(count, np.uint64))
+        return cls(
+            _f4(count), _f4(count), _f4(count),
+            np.empty(count, np.int64), np.empty(count, np.uint64), np.empty(count, np.int64),
+        )  # fmt: skip
 
 
 class Hits(NamedTuple):
@@ -162,8 +176,8 @@ class Points(NamedTuple):
     """Diffuse points that paths have reached.
 
     position (N, 3) f4 [m], lifted off the surface by the scene's epsilon; normal (shading) and geometric
-    (N, 3) f4, unit, on the side of wo; albedo, weight (N, 3) f4; owner (N,) i8; key (N,) u8;
-    distance (N,) f4 [m], length of the last ray.
+    (N, 3) f4, unit, on the side of wo; albedo (of the diffuse part), weight (N, 3) f4; owner (N,) i8; key (N,) u8
+    and sample (N,) i8 as in Rays; distance (N,) f4 [m], length of the last ray.
     """
 
     position: F4
@@ -173,27 +187,29 @@ class Points(NamedTuple):
     weight: F4
     owner: I8
     key: U8
+    sample: I8
     distance: F4
 
     @classmethod
     def empty(cls, count: int) -> Points:
         """Room for `count` points."""
         return cls(
-            _f4(count), _f4(count), _f4(count), _f4(count), _f4(count),
-            np.empty(count, np.int64), np.empty(count, np.uint64), np.empty(count, np.float32),
+            _f4(count), _f4(count), _f4(count), _f4(count), _f4(count), np.empty(count, np.int64),
+            np.empty(count, np.uint64), np.empty(count, np.int64), np.empty(count, np.float32),
         )  # fmt: skip
 
 
 class Photons(NamedTuple):
     """Photons where they were stored.
 
-    position (N, 3) f4 [m]; normal (N, 3) f4 of the surface, on the photon's side; flux (N, 3) f4 [W];
-    history (N,) u1: 0 straight from a light, 1 after specular bounces alone, 2 after a diffuse bounce;
-    number (N,) i8 of the emission it belongs to.
+    position (N, 3) f4 [m]; normal (N, 3) f4 of the surface, on the photon's side; wi (N, 3) f4, towards where it
+    came from; flux (N, 3) f4 [W]; history (N,) u1: 0 straight from a light, 1 after specular and glossy bounces
+    alone, 2 after a diffuse bounce; number (N,) i8 of the emission it belongs to.
     """
 
     position: F4
     normal: F4
+    wi: F4
     flux: F4
     history: U1
     number: I8
@@ -201,7 +217,22 @@ class Photons(NamedTuple):
     @classmethod
     def empty(cls, count: int) -> Photons:
         """Room for `count` photons."""
-        return cls(_f4(count), _f4(count), _f4(count), np.empty(count, np.uint8), np.empty(count, np.int64))
+        return cls(
+            _f4(count), _f4(count), _f4(count), _f4(count), np.empty(count, np.uint8), np.empty(count, np.int64)
+        )
+
+
+class Aim(NamedTuple):
+    """Which photons are emitted.
+
+    choice (L,) f8 cumulative chance of each light; share (L,) f8 of a light's directions that are drawn; first
+    (L + 1,) i8, cell (C,) i4: light l draws directions from cell[first[l]:first[l + 1]], from all where it has none.
+    """
+
+    choice: F8
+    share: F8
+    first: I8
+    cell: I4
 
 
 class Tree(NamedTuple):
@@ -214,24 +245,46 @@ class Tree(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """What one thread's tree search writes: nodes yet to be visited with the squared distance to each, and a heap of
-    the nearest points found.
+    """What one thread's tree search writes: nodes yet to be visited with the squared distance to each, and the
+    candidates for the nearest points.
 
-    node, low, high (64,) i8, offset2 (64,) f8: deep enough for any tree; distance2 (k,) f4, row (k,) i4.
+    node, low, high (64,) i8, offset2 (64,) f8: deep enough for any tree; candidates (C,) i8, C well over k, each
+    a squared distance and a row (see kernels.kdtree.candidate).
     """
 
     node: I8
     low: I8
     high: I8
     offset2: F8
-    distance2: F4
-    row: I4
+    candidates: I8
 
     @classmethod
     def empty(cls, k: int) -> Scratch:
-        """Room to find `k` points."""
+        """Room to find `k` points: cutting 4 k candidates down to k costs little more than having found them."""
         node, low, high = np.empty((3, 64), np.int64)
-        return cls(node, low, high, np.empty(64), np.empty(k, np.float32), np.empty(k, np.int32))
+        return cls(node, low, high, np.empty(64), np.empty(4 * k + 64, np.int64))
+
+
+class Estimates(NamedTuple):
+    """Density estimates at points.
+
+    irradiance (N, 3) f4 [W m^-2]; radius (N,) f4 of each one's disc [m]; found (N,) i4, the photons that make it;
+    lopsided (N,) f4, the squared distance of their centroid from the point over what it is in the mean where
+    photons fill the disc: exponentially distributed there, larger near edges; witness (N, WITNESSES) i4, rows of some
+    of the photons in the tree's order, -1 where there are none.
+    """
+
+    irradiance: F4
+    radius: F4
+    found: I4
+    lopsided: F4
+    witness: I4
+
+    @classmethod
+    def empty(cls, count: int) -> Estimates:
+        """Room for `count` estimates."""
+        radius, lopsided = np.empty((2, count), np.float32)
+        return cls(_f4(count), radius, np.empty(count, np.int32), lopsided, np.empty((count, WITNESSES), np.int32))
 
 
 def _f4(count: int) -> F4:
@@ -239,7 +292,7 @@ def _f4(count: int) -> F4:
 
 
 def rows(
-    record: Rays | Points | Photons, selection: slice | npt.NDArray[np.integer | np.bool_]
+    record: NamedTuple, selection: slice | npt.NDArray[np.integer | np.bool_]
 ) -> tuple[Any, ...]:
     """The selected rows of every column of a record; give it to the record's class.
 

@@ -10,11 +10,11 @@ from pathlib import Path
 from types import MappingProxyType
 
 from joulebox_render.errors import SceneError
-from joulebox_render.records import Scene
+from joulebox_render.records import ENVIRONMENT, F8, Scene
 from joulebox_render.scene_assembly import assemble
 from joulebox_render.scene_bsdfs import MaterialTable
 from joulebox_render.scene_camera import read_sensor
-from joulebox_render.scene_lights import Light, light_table, read_light
+from joulebox_render.scene_lights import Light, light_table, read_light, surround
 from joulebox_render.scene_shapes import SceneFolder, ShapeReader
 from joulebox_render.scene_xml import Element, parse_xml, resolve_defines, suggest
 
@@ -100,9 +100,11 @@ def load_scene(path: Path | str, defines: Mapping[str, str] = _NO_DEFINES) -> Sc
     if not len(geometry.material):
         raise root.error("the scene has no geometry; add a <shape>")
     materials.check(_children(root, "bsdf"))
-    lights = geometry.lights + _lone_lights(root, objects_by_id, notes)
+    lights = geometry.lights + _lone_lights(root, objects_by_id, geometry.corners, notes)
     if not lights:
-        raise root.error("the scene has no light; put an area <emitter> into a shape, or add a point or spot light")
+        raise root.error(
+            "the scene has no light; put an area <emitter> into a shape, or add a point, spot or constant light"
+        )
     return Scene(
         name=file.resolve().parent.name if file.name == "scene.xml" else file.stem,
         folder=file.parent,
@@ -130,11 +132,17 @@ def _children(root: Element, tag: str) -> list[Element]:
     return [child for child in root.children if child.tag == tag]
 
 
-def _lone_lights(root: Element, objects_by_id: Mapping[str, Element], notes: list[str]) -> list[Light]:
-    """The point and spot lights that emit anything."""
-    lights = []
+def _lone_lights(
+    root: Element, objects_by_id: Mapping[str, Element], corners: F8, notes: list[str]
+) -> list[Light]:
+    """The point, spot and constant lights that emit anything."""
+    lights: list[Light] = []
     for element in _children(root, "emitter"):
         light = read_light(element, objects_by_id)
+        if light.kind == ENVIRONMENT:
+            if any(other.kind == ENVIRONMENT for other in lights):
+                raise element.error("the scene has a constant light already; keep one")
+            light = surround(light, corners)
         if light.power.any():
             lights.append(light)
         else:

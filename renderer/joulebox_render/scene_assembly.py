@@ -30,6 +30,14 @@ class Geometry:
     light: I4
     lights: list[Light]
 
+    @property
+    def corners(self) -> F8:
+        """Corners (2, 3) of the bounding box [m]."""
+        reach = self.analytic_radius[:, None]
+        low = np.concatenate([self.vertices, self.analytic_center - reach]).min(axis=0)
+        high = np.concatenate([self.vertices, self.analytic_center + reach]).max(axis=0)
+        return np.array([low, high], dtype=np.float64)
+
 
 def assemble(shapes: Sequence[Shape], notes: list[str]) -> Geometry:
     """All shapes in one set of arrays; adds a sentence to `notes` for what is left out.

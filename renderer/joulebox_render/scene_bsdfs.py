@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from joulebox_render.records import BLACK, DIFFUSE, F8, GLASS, MIRROR, Materials
+from joulebox_render.records import BLACK, DIFFUSE, F8, GLASS, MIRROR, PHONG, Materials
 from joulebox_render.scene_values import Properties
 from joulebox_render.scene_xml import Element, suggest
 
@@ -38,6 +38,8 @@ _IOR = {
     "diamond": 2.419,
 }
 _DEFAULT_REFLECTANCE = 0.5
+# Beyond it a lobe is narrower than single precision resolves; a conductor is meant.
+_LARGEST_EXPONENT = 1e5
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,8 @@ class Material:
     albedo: F8
     ior: float = 1.0
     two_sided: bool = False
+    glossy: F8 = field(default_factory=lambda: np.zeros(3))
+    exponent: float = 0.0
 
 
 class MaterialTable:
@@ -85,6 +89,8 @@ class MaterialTable:
         return Materials(
             kind=np.array([row.kind for row in rows], dtype=np.int32),
             albedo=np.array([row.albedo for row in rows], dtype=np.float32).reshape(-1, 3),
+            glossy=np.array([row.glossy for row in rows], dtype=np.float32).reshape(-1, 3),
+            exponent=np.array([row.exponent for row in rows], dtype=np.float32),
             ior=np.array([row.ior for row in rows], dtype=np.float32),
             two_sided=np.array([row.two_sided for row in rows], dtype=np.uint8),
         )
@@ -98,6 +104,7 @@ class MaterialTable:
             "diffuse": _diffuse,
             "dielectric": _dielectric,
             "conductor": _conductor,
+            "phong": _phong,
             "twosided": self._two_sided,
         }
         if bsdf.type not in readers:
@@ -110,11 +117,12 @@ class MaterialTable:
     def _two_sided(self, properties: Properties) -> Material:
         nested = properties.take_objects("bsdf")
         if len(nested) != 1:
-            raise properties.element.error(f"twosided has {len(nested)} bsdfs inside; give it one diffuse bsdf")
-        if nested[0].type != "diffuse":
-            raise nested[0].error(f'twosided works around a diffuse bsdf, not around "{nested[0].type}"')
-        inner = self._read(nested[0])
-        return Material(inner.kind, inner.albedo, two_sided=True)
+            raise properties.element.error(
+                f"twosided has {len(nested)} bsdfs inside; give it one diffuse or phong bsdf"
+            )
+        if nested[0].type not in ("diffuse", "phong"):
+            raise nested[0].error(f'twosided works around a diffuse or phong bsdf, not around "{nested[0].type}"')
+        return replace(self._read(nested[0]), two_sided=True)
 
 
 def _reflecting(kind: int, albedo: F8) -> Material:
@@ -144,3 +152,21 @@ def _conductor(properties: Properties) -> Material:
                 "with specular_reflectance"
             )
     return _reflecting(MIRROR, properties.take_reflectance("specular_reflectance", 1.0))
+
+
+def _phong(properties: Properties) -> Material:
+    """Mitsuba 0.6's Phong: albedo / pi + glossy (n + 2) / (2 pi) cos^n, the cosine taken to the mirror direction."""
+    blame = properties.line_of("exponent")
+    exponent = properties.take_float("exponent", 30.0, at_least=0.0)
+    if exponent > _LARGEST_EXPONENT:
+        raise blame.error(f'"exponent" is {exponent:g}; it must be at most {_LARGEST_EXPONENT:g}')
+    albedo = properties.take_reflectance("diffuse_reflectance", _DEFAULT_REFLECTANCE)
+    glossy = properties.take_reflectance("specular_reflectance", 0.2)
+    if (albedo + glossy).max() > 1.0 + 1e-6:
+        raise properties.element.error(
+            f"phong reflects {(albedo + glossy).max():.3g} of the light in one channel; diffuse_reflectance and "
+            "specular_reflectance must add up to at most 1"
+        )
+    if not glossy.any():
+        return _reflecting(DIFFUSE, albedo)
+    return Material(PHONG, albedo, glossy=glossy, exponent=exponent)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from joulebox_render.meshes import Mesh
 from joulebox_render.records import (
     DISK,
     DISK_LIGHT,
+    ENVIRONMENT,
     F8,
     MESH_LIGHT,
     POINT_LIGHT,
@@ -87,10 +88,10 @@ def _centre(mesh: Mesh) -> F8:
 
 
 def read_light(element: Element, objects_by_id: Mapping[str, Element]) -> Light:
-    """A point or spot light that stands in the scene by itself."""
+    """A point, spot or constant light that stands in the scene by itself; see `surround` for the last."""
     if element.type == "area":
         raise element.error('an "area" emitter belongs inside a <shape>')
-    readers = {"point": _point, "spot": _spot}
+    readers = {"point": _point, "spot": _spot, "constant": _constant}
     if element.type not in readers:
         raise element.error(f'unknown emitter "{element.type}"{suggest(element.type, (*readers, "area"))}')
     properties = Properties(element, objects_by_id)
@@ -108,6 +109,19 @@ def _point(properties: Properties) -> Light:
     position = properties.take_point("position", (0.0, 0.0, 0.0)) + to_world[:3, 3]
     intensity = properties.take_emission("intensity")
     return Light(POINT_LIGHT, intensity, position, 4.0 * math.pi * intensity)
+
+
+def _constant(properties: Properties) -> Light:
+    """Light from all around, for a ball of radius 1 for now."""
+    radiance = properties.take_emission("radiance")
+    return Light(ENVIRONMENT, radiance, np.zeros(3), 4.0 * math.pi**2 * radiance, radius=1.0)
+
+
+def surround(light: Light, corners: F8) -> Light:
+    """The environment around a scene, its ball that of the bounding box with corners (2, 3)."""
+    radius = 0.5 * float(np.linalg.norm(corners[1] - corners[0])) * 1.0001
+    power = 4.0 * (math.pi * radius) ** 2 * light.radiance
+    return replace(light, position=corners.mean(axis=0), radius=radius, power=power)
 
 
 def _spot(properties: Properties) -> Light:

@@ -12,11 +12,12 @@ from typing import Any
 
 import psutil
 
-from joulebox_render import __version__, intersect
+from joulebox_render import __version__
 from joulebox_render.clock import Interval, StageClock
 from joulebox_render.errors import RenderError
 from joulebox_render.images import pixel_sha256
 from joulebox_render.integrator import Rendering, render_image
+from joulebox_render.intersect import Intersector
 from joulebox_render.kernels import compilation
 from joulebox_render.plan import Plan, make_plan
 from joulebox_render.pool import CHUNK_RAYS, WorkerPool
@@ -54,7 +55,8 @@ class Image:
 class Session:
     """Everything that happens before the first photon: load, build, compile; then `render` as often as wanted.
 
-    Settings are resolved: width and height come from the scene's film where they are not set.
+    Settings are resolved: width and height come from the scene's film where they are not set. `intersector` is
+    "embree", "bvh", or "auto" for Embree where there is one.
     """
 
     def __init__(
@@ -64,6 +66,7 @@ class Session:
         defines: Mapping[str, str] | None = None,
         force_all: bool = False,
         chunk_rays: int = CHUNK_RAYS,
+        intersector: str = "auto",
     ) -> None:
         start = time.perf_counter()
         self.scene: Scene = load_scene(scene, defines or {})
@@ -75,11 +78,11 @@ class Session:
         )
         tables = scene_tables(self.scene)
         loaded = time.perf_counter()
-        intersector = intersect.Intersector(tables)
+        queries = Intersector(tables, intersector)
         built = time.perf_counter()
         self.plan: Plan = make_plan(self.scene, self.settings, force_all)
         self._pool = WorkerPool(self.settings.threads, chunk_rays)
-        self.context = Context(tables, intersector, self.settings, self.plan, self._pool)
+        self.context = Context(tables, queries, self.settings, self.plan, self._pool)
         self._warm_up()
         compiled = time.perf_counter()
         self.setup = {
@@ -91,7 +94,7 @@ class Session:
         small = self.settings.model_copy(
             update={
                 "width": 4, "height": 4, "samples_per_pixel": 1, "global_photons": 64, "caustic_photons": 4,
-                "shadow_rays": 4, "final_gather_rays": 4,
+                "direct_photons": min(64, self.settings.direct_photons), "shadow_rays": 4, "final_gather_rays": 4,
             }
         )  # fmt: skip
         context = Context(self.context.tables, self.context.intersector, small, self.plan, self._pool)
@@ -113,10 +116,9 @@ class Session:
                 f"{self.settings.width}x{self.settings.height}; lower global_photons or samples_per_pixel"
             ) from None
         cpu_s, end = time.process_time() - cpu_start, time.perf_counter_ns()
-        records = rendering.maps.irradiance
         return Image(
-            rendering.pixels, start, end, cpu_s, clock, photon_counts(rendering),
-            len(records.irradiance) if records else 0, photon_notes(rendering),
+            rendering.pixels, start, end, cpu_s, clock, photon_counts(rendering, clock),
+            irradiance_record_count(rendering), photon_notes(rendering),
         )  # fmt: skip
 
     def stop(self) -> None:
@@ -126,7 +128,7 @@ class Session:
     def build(self) -> dict[str, Any]:
         """What made the picture."""
         return {
-            "name": "joulebox-render", "version": __version__, "intersector": intersect.NAME,
+            "name": "joulebox-render", "version": __version__, "intersector": self.context.intersector.name,
             "isa": compilation.ISA, "threads": self._pool.threads,
         }  # fmt: skip
 
@@ -166,25 +168,43 @@ class Session:
         self._pool.__exit__(kind, error, trace)
 
 
-def photon_counts(rendering: Rendering) -> dict[str, int]:
-    """Photons stored in each map and emitted for it; 0 where there is no map."""
+def photon_counts(rendering: Rendering, clock: StageClock) -> dict[str, int]:
+    """Photons stored in each map and emitted for it, 0 where there is no map, and rays that shadow photons saved."""
     counts: dict[str, int] = {}
     for name, photons in (("global", rendering.maps.global_map), ("caustic", rendering.maps.caustic_map)):
         counts[f"{name}_stored"] = photons.stored if photons else 0
         counts[f"{name}_emitted"] = photons.emitted if photons else 0
-    counts["direct_stored"] = 0  # no photons are kept for the shadow test
+    seen = rendering.maps.shadow_map
+    counts["direct_stored"] = seen.direct_stored if seen else 0
+    counts["direct_emitted"] = seen.emitted if seen else 0
+    counts["shadow_stored"] = seen.shadow_stored if seen else 0
+    counts["shadow_rays_saved"] = sum(interval.rays_saved for interval in clock.intervals)
     return counts
+
+
+def irradiance_record_count(rendering: Rendering) -> int:
+    """Records of the irradiance cache, or, without one, of precomputed irradiance."""
+    if rendering.maps.cache is not None:
+        return len(rendering.maps.cache.records.radius)
+    return len(rendering.maps.irradiance.irradiance) if rendering.maps.irradiance else 0
 
 
 def photon_notes(rendering: Rendering) -> list[str]:
     """A sentence for each map that could not be filled."""
     maps = (("global", rendering.maps.global_map), ("caustic", rendering.maps.caustic_map))
-    return [
+    notes = [
         f"the {name} photon map holds only {photons.stored} photons after {photons.emitted} were emitted: "
         f"hardly any light takes such paths in this scene"
         for name, photons in maps
         if photons and not photons.complete
     ]
+    seen = rendering.maps.shadow_map
+    if seen and not seen.complete:
+        notes.append(
+            f"only {seen.direct_stored} direct photons were stored after {seen.emitted} were emitted: hardly any light "
+            f"of area lights falls on surfaces in this scene, so shadow photons save few rays"
+        )
+    return notes
 
 
 def peak_rss_bytes() -> int:

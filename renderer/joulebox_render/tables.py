@@ -6,14 +6,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from joulebox_render.records import F4, F8, I4, MESH_LIGHT, U1, Scene
+from joulebox_render.records import DISK_LIGHT, ENVIRONMENT, F4, F8, I4, MESH_LIGHT, RECTANGLE_LIGHT, U1, Scene
+
+# A point is close to a light where one sample of the light alone could bring more than this many times the irradiance
+# of a sky of the light's radiance.
+CLOSE = 2.0
 
 
 class SceneTables(NamedTuple):
     """Arrays of `records.Scene`, `Materials` (material_*) and `Lights` (light_*), with what is derived from them.
 
-    light_choice   (L,) f8  cumulative probability of emitting a photon from each light, by power
     mesh_area      (T,) f8  cumulative share of a mesh light's area up to each triangle, 0 elsewhere
+    light_close    (L,) f8  distance from a flat light's position [m] within which points may be close to it, see
+                   kernels.lighting; 0 for lights that are never close
+    sky            (3,) f4  radiance of the environment, black where there is none
     epsilon        (1,) f8  distance by which ray origins leave a surface [m]
     """
 
@@ -29,6 +35,8 @@ class SceneTables(NamedTuple):
     light: I4
     material_kind: I4
     material_albedo: F4
+    material_glossy: F4
+    material_exponent: F4
     material_ior: F4
     material_two_sided: U1
     light_kind: I4
@@ -43,8 +51,9 @@ class SceneTables(NamedTuple):
     light_triangle_first: I4
     light_triangle_count: I4
     light_power: F4
-    light_choice: F8
     mesh_area: F8
+    light_close: F8
+    sky: F4
     epsilon: F8
 
 
@@ -64,8 +73,6 @@ def bounding_radius(scene: Scene) -> float:
 def scene_tables(scene: Scene) -> SceneTables:
     """Flatten a scene for the kernels."""
     materials, lights = scene.materials, scene.lights
-    power = lights.power.astype(np.float64).mean(axis=1)
-    choice = np.cumsum(power) / power.sum() if power.sum() > 0 else np.zeros(len(power))
     corners = scene.vertices[scene.triangles].astype(np.float64).reshape(-1, 3, 3)
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     share = np.zeros(len(area))
@@ -77,7 +84,27 @@ def scene_tables(scene: Scene) -> SceneTables:
         **{name: np.ascontiguousarray(getattr(scene, name)) for name in SceneTables._fields[:10]},
         **{f"material_{name}": np.ascontiguousarray(column) for name, column in vars(materials).items()},
         **{f"light_{name}": np.ascontiguousarray(column) for name, column in vars(lights).items()},
-        light_choice=np.ascontiguousarray(choice, dtype=np.float64),
         mesh_area=share,
+        light_close=_close_distances(scene),
+        sky=lights.radiance[lights.kind == ENVIRONMENT].sum(axis=0, dtype=np.float32),
         epsilon=np.array([1e-5 * bounding_radius(scene)]),
     )
+
+
+def _close_distances(scene: Scene) -> F8:
+    """See SceneTables.light_close: the radius of a ball around each light, and how far from it samples can be CLOSE."""
+    lights = scene.lights
+    distances = np.zeros(len(lights.kind))
+    for row, kind in enumerate(lights.kind):
+        if kind == RECTANGLE_LIGHT:
+            radius = float(np.hypot(np.linalg.norm(lights.edge_u[row]), np.linalg.norm(lights.edge_v[row])))
+        elif kind == DISK_LIGHT:
+            radius = float(np.linalg.norm(lights.edge_u[row]))
+        elif kind == MESH_LIGHT:
+            first = lights.triangle_first[row]
+            corners = scene.vertices[scene.triangles[first : first + lights.triangle_count[row]]]
+            radius = float(np.linalg.norm(corners - lights.position[row], axis=-1).max())
+        else:
+            continue
+        distances[row] = radius + np.sqrt(float(lights.area[row]) / (np.pi * CLOSE))
+    return distances

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from joulebox_render.session import Image, Session
 from joulebox_render.settings import make_settings
+from plain_settings import PLAIN
 
 # A camera at the origin that looks along -z, so that film x runs along +x and film y along -y.
 CAMERA = '<transform name="to_world"><lookat origin="0,0,0" target="0,0,-1" up="0,1,0"/></transform>'
-
 
 def scene_text(body: str, camera: str = CAMERA, fov_deg: float = 60.0) -> str:
     """A scene file around `body`: a camera with a square film of 16 x 16 pixels."""
@@ -49,7 +49,7 @@ def open_session() -> Iterator[Callable[..., Session]]:
         chunk_rays: int = 16_384,
         **settings: Any,
     ) -> Session:
-        session = Session(scene, make_settings({"threads": 2, **settings}), defines, force_all, chunk_rays)
+        session = Session(scene, make_settings({**PLAIN, **settings}), defines, force_all, chunk_rays)
         opened.append(session)
         return session
 

@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from joulebox_render.kernels.gathering import kernel_weight, nearest_irradiance
+from joulebox_render.kernels.gathering import kernel_weight
+from joulebox_render.kernels.lookup import nearest_records
 from joulebox_render.records import Photons, Scratch
-from joulebox_render.stages.gather import FILTERS, DensityEstimate
+from joulebox_render.stages.density import FILTERS, DensityEstimate
 from joulebox_render.stages.photon_map import PhotonMap, build_photon_map, grow_tree
 
 DENSITY = 10_000.0
@@ -55,7 +56,8 @@ def lattice(width_m: float, step_m: float) -> Any:
 def estimates(photons: PhotonMap, at: Any, k: int, reach_m: float, kind: str, normal: Any = (0, 0, 1)) -> Any:
     """Irradiance (N, 3) at points facing `normal`."""
     normals = np.tile(np.array(normal, np.float32), (len(at), 1))
-    return DensityEstimate(photons, k, reach_m, COS_LIMIT, FILTERS[kind])(at, normals).astype(np.float64)
+    estimate = DensityEstimate(photons, k, reach_m, COS_LIMIT, FILTERS[kind])
+    return estimate(at, normals, np.zeros(len(at), np.uint64)).irradiance.astype(np.float64)
 
 
 # A disc that holds 30 photons in the mean reaches 0.031 m; k = 4000 is never reached there, k = 25 always at 0.2 m,
@@ -157,9 +159,11 @@ def test_the_nearest_record_is_looked_up() -> None:
     tree, order = grow_tree(position, np.tile(np.array([0, 0, 1], np.float32), (500, 1)))
     at = (random.random((200, 3)) * (1.5, 1.5, 0)).astype(np.float32)
     normal = np.tile(np.array([0, 0, 1], np.float32), (200, 1))
-    found = np.empty((200, 3), np.float32)
-    nearest_irradiance(tree, np.ascontiguousarray(records[order]), at, normal, 0.2, COS_LIMIT, Scratch.empty(1), found)
+    row = np.empty(200, np.int32)
+    nearest_records(tree, at, normal, 0.2, COS_LIMIT, Scratch.empty(1), row)
+    found = np.where(row[:, None] >= 0, records[order][row], 0)
     distance = np.linalg.norm(at[:, None, :] - position, axis=2)
     expected = np.where(distance.min(axis=1)[:, None] < 0.2, records[distance.argmin(axis=1)], 0)
     np.testing.assert_array_equal(found, expected)
     assert (expected == 0).all(axis=1).any(), "some points lie beyond reach"
+

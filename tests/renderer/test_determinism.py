@@ -19,7 +19,10 @@ METHODS: dict[str, dict[str, Any]] = {
     "final_gather": {"indirect": "final_gather", "sampler": "independent"},
     "final_gather at every look-up": {"indirect": "final_gather", "photon_spacing": 0},
     "final_gather, absorbed photons": {"indirect": "final_gather", "store_at_every_bounce": False},
+    "final_gather, sobol": {"sampler": "sobol", "caustic_hints": True},
+    "final_gather, cached": {"irradiance_cache_tolerance": 0.3, "final_gather_rays": 30},
     "path": {"indirect": "path"},
+    "path, sobol": {"indirect": "path", "sampler": "sobol"},
 }
 SCENES = ["cornell-boxes", "cornell-spheres", "caustic-ring"]
 Render = Callable[..., Any]

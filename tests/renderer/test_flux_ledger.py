@@ -13,8 +13,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from joulebox_render.kernels.rng import path_key
 from joulebox_render.records import Photons
 from joulebox_render.stages import photon_map
+from joulebox_render.stages.aim import aim_everywhere
 from joulebox_render.stages.photon_map import BOUNCED, CAUSTIC, FIRST_HIT, emit_and_store
 
 COUNT = 20_000
@@ -40,7 +42,8 @@ def diffuse(reflectance: str) -> str:
 
 def trace(session: Any, count: int = COUNT) -> Photons:
     """All photons that `count` emissions leave behind."""
-    return photon_map._trace_photons(session.context, 0, count)[0]
+    family = np.uint64(path_key(session.settings.seed, photon_map.EMISSION_STREAM, photon_map.EVERYWHERE))
+    return photon_map._trace_photons(session.context, aim_everywhere(session.context.tables), family, 0, count)[0]
 
 
 def flux_per_emission(photons: Photons, count: int = COUNT) -> Any:
@@ -167,19 +170,31 @@ def test_photons_come_from_one_emission_in_order(open_session: Open, scene: str)
     assert np.all(np.diff(many.number) >= 0)
 
 
-@pytest.mark.parametrize("indirect", ["direct_visualization", "final_gather"])
-def test_maps_fill_up_and_say_how_many_were_emitted(open_session: Open, z_score: Z, indirect: str) -> None:
-    session = open_session("cornell-spheres", indirect=indirect, global_photons=5000, caustic_photons=700)
+@pytest.mark.parametrize(
+    ("method", "histories"),
+    [
+        ({"indirect": "direct_visualization"}, {BOUNCED}),
+        ({"indirect": "direct_visualization", "caustics": False}, {CAUSTIC, BOUNCED}),
+        ({"photon_spacing": 0}, {FIRST_HIT, CAUSTIC, BOUNCED}),
+        # Records sample the light that comes straight from lights.
+        ({"photon_spacing": 4}, {CAUSTIC, BOUNCED}),
+    ],
+    ids=str,
+)
+def test_maps_fill_up_and_say_how_many_were_emitted(
+    open_session: Open, method: dict[str, Any], histories: set[int]
+) -> None:
+    session = open_session("cornell-spheres", **method, global_photons=5000, caustic_photons=700)
     emission = emit_and_store(session.context)
     assert emission.global_photons is not None
-    assert emission.caustic_photons is not None
     assert len(emission.global_photons.number) == 5000
-    assert len(emission.caustic_photons.number) == 700
-    assert np.all(emission.caustic_photons.history == CAUSTIC)
     assert emission.global_emitted == emission.global_photons.number[-1] + 1
-    assert emission.caustic_emitted == emission.caustic_photons.number[-1] + 1
-    stored = set(emission.global_photons.history.tolist())
-    assert stored == ({BOUNCED} if indirect == "direct_visualization" else {FIRST_HIT, CAUSTIC, BOUNCED})
+    assert set(emission.global_photons.history.tolist()) == histories
+    assert (emission.caustic_photons is not None) == method.get("caustics", True)
+    if emission.caustic_photons is not None:
+        assert len(emission.caustic_photons.number) == 700
+        assert np.all(emission.caustic_photons.history == CAUSTIC)
+        assert emission.caustic_emitted == emission.caustic_photons.number[-1] + 1
 
 
 def test_a_map_that_cannot_be_filled_is_given_up_and_said_so(make_scene: Make, open_session: Open) -> None:
@@ -212,3 +227,16 @@ def test_a_map_does_not_depend_on_what_another_map_needs(make_scene: Make, open_
         k: v for k, v in alone.photons.items() if "global" in k
     }
     assert forced.pixel_sha256 == alone.pixel_sha256
+
+
+def test_where_a_photon_goes_from_its_first_hit_owes_nothing_to_its_emission(open_session: Open) -> None:
+    """In the furnace each wall receives a sixth of the photons after their first bounce: chi-square, 5 degrees.
+
+    60,000 photons bounce once; beyond 33 is a false alarm in 250,000. Numbers drawn twice, for the place on the
+    light and for the direction of the bounce, gave a wall 18 % too much.
+    """
+    photons = trace(open_session("furnace", max_photon_bounces=1), 6 * COUNT)
+    normal = photons.normal[photons.history == BOUNCED]
+    counts = np.array([(normal[:, axis] * side > 0.5).sum() for axis in range(3) for side in (-1, 1)])
+    assert counts.sum() == len(normal) > 50_000
+    assert ((counts - counts.mean()) ** 2 / counts.mean()).sum() < 33

@@ -26,7 +26,7 @@ SPHERE_FURNACE = (
 
 
 @pytest.mark.parametrize("reflectance", ["0.2", "0.5", "0.9"])
-@pytest.mark.parametrize("sampler", ["independent", "stratified"])
+@pytest.mark.parametrize("sampler", ["independent", "stratified", "sobol"])
 def test_the_cube_furnace_by_paths(render: Render, z_score: Z, sampler: str, reflectance: str) -> None:
     """Unbiased, so 4.5 sigma over independent pixels, whose standard error is held under 3 %.
 
@@ -34,34 +34,42 @@ def test_the_cube_furnace_by_paths(render: Render, z_score: Z, sampler: str, ref
     """
     defines = {"reflectance": reflectance, "radiance": str(round(1 - float(reflectance), 3))}
     pixels = render(
-        "furnace", defines=defines, indirect="path", width=48, height=48, sampler=sampler, shadow_rays=16
+        "furnace", defines=defines, indirect="path", width=48, height=48, sampler=sampler, shadow_rays=16, seed=2
     ).pixels
     np.testing.assert_array_equal(pixels, np.repeat(pixels[..., :1], 3, -1))
     assert pixels[..., 0].std() / 48 < 0.03
     assert abs(z_score(pixels[..., 0], 1)) < SIGMAS
 
 
-def test_the_cube_furnace_by_final_gathering(open_session: Callable[..., Any]) -> None:
-    """Darker by the boundary bias and nothing else.
+@pytest.mark.parametrize(("spacing", "noise"), [(0, 0.004), (4, 0.02)])
+def test_the_cube_furnace_by_final_gathering(
+    open_session: Callable[..., Any], spacing: int, noise: float
+) -> None:
+    """As bright as it should be: density estimates are made up for where their discs hang over edges.
 
+    The picture is emission 0.5, direct light 0.25 and gathered light 0.25. The same seed draws the same shadow rays,
+    so taking away the picture without indirect light leaves the gathered part alone, free of direct light's noise.
     Radius-limited discs of radius r next to one of a face's four edges lose in the mean 2 / (3 pi) over a strip of
-    width r, so over a face of side 1 the photon estimate loses 4 r 2 / (3 pi) = 0.85 r: 1.7 % at 0.02 m. What is
-    gathered is rho of the picture: 0.85 %. Gather rays do not land uniformly, hence a factor of two both ways; the
-    noise of 100,000 photons is 0.2 %.
+    width r: over a face of side 1 a photon estimate without correction loses 4 r 2 / (3 pi) = 0.85 r, 1.7 % at
+    0.02 m (test_coverage.py looks at the strips themselves). A map of 100,000 photons has a noise of 0.4 %; records
+    sample direct light, whose tail is heavy where walls light each other at edges: 2 %. 4.5 sigma over six seeds.
     """
-    means = [
-        open_session("furnace", width=16, height=16, gather_count=1000, seed=seed).render().pixels.mean()
-        for seed in range(3)
-    ]
-    loss = 1 - np.mean(means)
-    assert 0.0085 / 2 - 0.003 < loss < 0.0085 * 2 + 0.003
+    gathered = []
+    for seed in range(6):
+        settings = {"width": 16, "height": 16, "gather_count": 1000, "seed": seed, "photon_spacing": spacing}
+        whole, rest = (open_session("furnace", indirect=how, **settings) for how in ("final_gather", "none"))
+        gathered.append((whole.render().pixels.astype(float) - rest.render().pixels).mean())
+    assert np.std(gathered) < 1.5 * noise * 0.25
+    assert np.mean(gathered) / 0.25 == pytest.approx(1, abs=4.5 * noise / np.sqrt(6))
 
 
 @pytest.mark.parametrize(
     "method",
     [
         {"indirect": "path"},
+        {"indirect": "path", "sampler": "sobol"},
         {"indirect": "final_gather"},
+        {"indirect": "final_gather", "sampler": "sobol"},
         {"indirect": "final_gather", "photon_spacing": 0, "gather_filter": "cone"},
         {"indirect": "final_gather", "store_at_every_bounce": False},
         {"indirect": "direct_visualization"},
@@ -70,7 +78,11 @@ def test_the_cube_furnace_by_final_gathering(open_session: Callable[..., Any]) -
     ids=lambda method: " ".join(map(str, method.values())),
 )
 def test_the_sphere_furnace(make_scene: Make, open_session: Callable[..., Any], z_score: Z, method: Any) -> None:
-    """No edges, so no method is biased: a ball of radius r cuts exactly pi r^2 out of a sphere (Archimedes).
+    """No edges, so no estimate is biased: a ball of radius r cuts exactly pi r^2 out of a sphere (Archimedes).
+
+    Looking up the nearest of a few records is, a little: those where photons are sparse, which estimate too little,
+    are nearest to more places. By the relative variance of an estimate of 50 photons, 2 %, times the share of the
+    picture that photons light, a quarter and less, times how far a record's surroundings follow its estimate.
 
     A light that emits inwards, seen from inside. Each seed's mean is one sample: photons are shared by its pixels.
     """
@@ -87,5 +99,6 @@ def test_the_sphere_furnace(make_scene: Make, open_session: Callable[..., Any], 
     assert np.all(means.std(axis=0) < 0.04)
     for channel in means.T:
         # Ten seeds: Student's t has wider tails than a normal; 8.5 is its 4.5 sigma with nine degrees of freedom.
-        assert abs(z_score(channel, 1)) < 8.5 or abs(channel.mean() - 1) < 1e-5
+        nearest = method["indirect"] == "final_gather" and method.get("photon_spacing", 4) > 0
+        assert abs(z_score(channel, 1)) < 8.5 or abs(channel.mean() - 1) < (0.005 if nearest else 1e-5)
     assert abs(means.mean() - 1) < 0.01

@@ -10,7 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from joulebox_render.kernels.kdtree import LEAF, nearest_points
+from joulebox_render.kernels.kdtree import (
+    LEAF,
+    candidate_distance2,
+    candidate_row,
+    nearest_point,
+    nearest_points,
+)
 from joulebox_render.records import Scratch, Tree
 from joulebox_render.stages.photon_map import grow_tree
 from scipy.spatial import cKDTree
@@ -27,16 +33,18 @@ def ask(
 ) -> tuple[Any, Any]:
     """Squared distances, sorted, and rows of the k nearest."""
     scratch = Scratch.empty(k)
-    distance2, index = scratch.distance2, scratch.row
-    distance2[:], index[:] = -7, -7
-    x, y, z = (np.float32(value) for value in at)
-    nx, ny, nz = (np.float32(value) for value in normal)
-    found = nearest_points(tree, x, y, z, nx, ny, nz, cos_limit, reach_m**2, k, scratch)
-    assert np.all(distance2[found:] == -7), "entries beyond those found are left alone"
+    scratch.candidates[:] = -7
+    at32, normal32 = np.array(at, np.float32), np.array(normal, np.float32)
+    found = nearest_points(tree, *at32, *normal32, cos_limit, reach_m**2, k, scratch)
+    entries = scratch.candidates[:found]
     if found == k:
-        assert distance2[0] == distance2.max(), "the farthest is on top of the heap"
-    rows = np.argsort(distance2[:found], kind="stable")
-    return distance2[:found][rows], index[:found][rows]
+        assert entries[k - 1] == entries.max(), "the farthest comes last"
+    entries = np.sort(entries)
+    rows = np.array([candidate_row(entry) for entry in entries], np.int64)
+    distance2 = np.array([candidate_distance2(entry) for entry in entries], np.float32)
+    row = nearest_point(tree, *at32, *normal32, cos_limit, reach_m**2, scratch)
+    assert row == -1 if found == 0 else ((tree.position[row] - at32) ** 2).sum() == pytest.approx(distance2[0])
+    return distance2, rows
 
 
 def brute_force(position: Any, chosen: Any, at: Any, k: int, reach_m: float = math.inf) -> Any:
@@ -123,6 +131,17 @@ def test_coincident_points_are_all_found() -> None:
     distance2, index = ask(tree, (0, 0, 0), 400, reach_m=0.5)
     assert len(index) == 300
     assert not distance2.any()
+
+
+@pytest.mark.parametrize("k", [1, 2, 5, 100, 599])
+def test_of_points_as_far_as_each_other_the_first_are_taken(k: int) -> None:
+    """Also where many more than k are within reach, so that candidates are cut down on the way."""
+    step = np.arange(3000) % 3
+    position = np.stack([step, 0 * step, 0 * step], -1).astype(np.float32)
+    tree, _ = grow_tree(position, up(3000))
+    distance2, rows = ask(tree, (1.25, 0, 0), k, reach_m=1.5)
+    np.testing.assert_array_equal(distance2, np.full(k, 0.0625, np.float32))
+    np.testing.assert_array_equal(rows, np.flatnonzero(tree.position[:, 0] == 1)[:k])
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

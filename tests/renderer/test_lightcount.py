@@ -15,9 +15,10 @@ import numpy as np
 import pytest
 from joulebox_render.session import Session
 from joulebox_render.settings import make_settings
+from plain_settings import PLAIN
 
 SIZE = 64
-SETTINGS: dict[str, Any] = {"width": SIZE, "height": SIZE, "samples_per_pixel": 9}
+SETTINGS: dict[str, Any] = {**PLAIN, "width": SIZE, "height": SIZE, "samples_per_pixel": 9}
 WAYS: dict[str, dict[str, Any]] = {
     "final_gather": {"indirect": "final_gather"},
     "final_gather at every look-up": {"photon_spacing": 0, "final_gather_rays": 16, "gather_count": 40},

@@ -25,10 +25,17 @@ def plan_of(scene: str, **settings: Any) -> Plan:
 
 @pytest.mark.parametrize("indirect", INDIRECT)
 @pytest.mark.parametrize("scene", ["cornell-boxes", "point-light", "furnace", "cornell-spheres"])
-def test_what_is_left_out_does_not_change_a_pixel(open_session: Callable[..., Any], scene: str, indirect: str) -> None:
+@pytest.mark.parametrize(
+    "settings",
+    [{}, {"sampler": "sobol", "caustic_hints": True}, {"irradiance_cache_tolerance": 0.3}],
+    ids=lambda settings: " ".join(settings) or "plain",
+)
+def test_what_is_left_out_does_not_change_a_pixel(
+    open_session: Callable[..., Any], scene: str, indirect: str, settings: dict[str, Any]
+) -> None:
     """Against everything that the settings ask for forced on: identical pixels."""
-    planned = open_session(scene, **SMALL, indirect=indirect)
-    forced = open_session(scene, force_all=True, **SMALL, indirect=indirect)
+    planned = open_session(scene, **SMALL, indirect=indirect, **settings)
+    forced = open_session(scene, force_all=True, **SMALL, indirect=indirect, **settings)
     np.testing.assert_array_equal(planned.render().pixels, forced.render().pixels)
     if scene != "cornell-spheres":
         assert forced.plan.specular_recursion
@@ -39,11 +46,16 @@ def test_what_is_left_out_does_not_change_a_pixel(open_session: Callable[..., An
 def test_a_diffuse_scene_needs_no_caustics_and_no_specular_recursion() -> None:
     plan = plan_of("cornell-boxes")
     assert plan.run == ["photon_map", "precomputed_irradiance", "direct", "indirect"]
-    assert plan.left_out == {"caustics": "no specular surface", "specular_recursion": "no specular surface"}
+    assert plan.left_out == {
+        "caustics": "no specular surface",
+        "specular_recursion": "no specular surface",
+        "importance_sampling": "importance_sampling=false",
+        "shadow_photons": "use_shadow_photons=false",
+    }
 
 
 def test_a_scene_with_mirror_and_glass_needs_everything() -> None:
-    plan = plan_of("cornell-spheres")
+    plan = plan_of("cornell-spheres", importance_sampling=True, use_shadow_photons=True)
     assert plan.run == ["photon_map", "precomputed_irradiance", "direct", "indirect", "caustics"]
     assert plan.left_out == {}
 
@@ -59,6 +71,12 @@ def test_a_scene_with_mirror_and_glass_needs_everything() -> None:
         ({"indirect": "none", "caustics": False}, "photon_map", "no stage asks for photons"),
         ({"caustics": False}, "caustics", "caustics=false"),
         ({"caustic_photons": 0}, "caustics", "caustic_photons=0"),
+        ({"irradiance_cache_tolerance": 0}, "irradiance_cache", "irradiance_cache_tolerance=0 gathers at every point"),
+        (
+            {"irradiance_cache_tolerance": 0.2, "indirect": "path"},
+            "irradiance_cache",
+            "nothing uses it without final gathering",
+        ),
         ({"photon_spacing": 0}, "precomputed_irradiance", "photon_spacing=0 gathers photons at every look-up"),
         (
             {"indirect": "direct_visualization"},

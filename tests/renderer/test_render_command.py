@@ -133,7 +133,7 @@ def test_settings_from_file_preset_and_command_line(call: Callable[..., Any], tm
     )
     settings = json.loads(out)["settings"]
     assert code == 0
-    assert (settings["shadow_rays"], settings["seed"], settings["indirect"]) == (4, 6, "direct_visualization")
+    assert (settings["shadow_rays"], settings["seed"], settings["irradiance_cache_tolerance"]) == (4, 6, 1.0)
     assert make_settings(settings).model_dump() == settings
 
 

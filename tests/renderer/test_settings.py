@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from joulebox_render.errors import SettingsError
 from joulebox_render.settings import (
@@ -210,109 +208,3 @@ def test_lengths_and_angles_carry_their_unit() -> None:
             assert name.endswith("_m")
         if "[degree]" in field["description"]:
             assert name.endswith("_deg")
-
-
-# What each setting is for, as something to be seen of two renderings: (base, change, check(before, after)).
-Check = Callable[[Any, Any], bool]
-SMALL: dict[str, Any] = {
-    "width": 16, "height": 16, "samples_per_pixel": 1, "shadow_rays": 4, "final_gather_rays": 8,
-    "global_photons": 3000, "caustic_photons": 1000, "gather_count": 50,
-}  # fmt: skip
-
-
-def rays(image: Any, stage: str) -> int:
-    return int(image.clock.totals()[stage]["rays"])
-
-
-def noise(image: Any) -> float:
-    """Roughness: median difference of neighbours, relative to them; edges are few."""
-    above, below = image.pixels[:-1], image.pixels[1:]
-    return float(np.median(np.abs(above - below) / (above + below + 1e-6)))
-
-
-def peak(image: Any) -> float:
-    """The brightest that is not the lamp: where a caustic is focused."""
-    return float(image.pixels[image.pixels < 5].max())
-
-
-PHOTONS = {"indirect": "direct_visualization", "caustics": False, "global_photons": 20_000}
-EFFECTS: dict[str, tuple[dict[str, Any], dict[str, Any], Check]] = {
-    "width": ({}, {"width": 20}, lambda a, b: b.pixels.shape == (16, 20, 3)),
-    "height": ({}, {"height": 20}, lambda a, b: b.pixels.shape == (20, 16, 3)),
-    "samples_per_pixel": ({}, {"samples_per_pixel": 4}, lambda a, b: rays(b, "direct") > 3.5 * rays(a, "direct")),
-    "jitter": ({}, {"jitter": False}, lambda a, b: a.pixel_sha256 != b.pixel_sha256),
-    "seed": ({}, {"seed": 1}, lambda a, b: a.pixel_sha256 != b.pixel_sha256),
-    "threads": ({}, {"threads": 1}, lambda a, b: a.pixel_sha256 == b.pixel_sha256),
-    "exposure": ({}, {"exposure": 3.0}, lambda a, b: a.pixel_sha256 == b.pixel_sha256),
-    "global_photons": ({}, {"global_photons": 6000}, lambda a, b: b.photons["global_stored"] == 6000),
-    "caustic_photons": ({}, {"caustic_photons": 2000}, lambda a, b: b.photons["caustic_stored"] == 2000),
-    "max_photon_bounces": (
-        {}, {"max_photon_bounces": 0}, lambda a, b: b.photons["global_emitted"] > 1.5 * a.photons["global_emitted"],
-    ),
-    "store_at_every_bounce": (
-        {}, {"store_at_every_bounce": False},
-        lambda a, b: b.photons["global_emitted"] > 1.5 * a.photons["global_emitted"],
-    ),
-    "shadow_rays": ({}, {"shadow_rays": 16}, lambda a, b: rays(b, "direct") > 3 * rays(a, "direct")),
-    "max_depth": ({}, {"max_depth": 0}, lambda a, b: b.pixels.mean() < a.pixels.mean()),
-    "indirect": ({}, {"indirect": "none"}, lambda a, b: b.pixels.mean() < 0.9 * a.pixels.mean()),
-    "gather_count": (PHOTONS, {"gather_count": 5}, lambda a, b: noise(b) > noise(a)),
-    "gather_distance_m": (PHOTONS, {"gather_distance_m": 0.004}, lambda a, b: noise(b) > noise(a)),
-    "gather_filter": (PHOTONS, {"gather_filter": "cone"}, lambda a, b: 0.97 < b.pixels.mean() / a.pixels.mean() < 1.03),
-    "photon_spacing": (
-        {}, {"photon_spacing": 0},
-        lambda a, b: "precomputed_irradiance" in a.clock.totals() and "precomputed_irradiance" not in b.clock.totals(),
-    ),
-    "final_gather_rays": ({}, {"final_gather_rays": 16}, lambda a, b: rays(b, "indirect") > 1.8 * rays(a, "indirect")),
-    "caustics": ({}, {"caustics": False}, lambda a, b: b.photons["caustic_stored"] == 0 < a.photons["caustic_stored"]),
-    "caustic_gather_count": (
-        {"indirect": "none", "caustic_gather_distance_m": 0.1, "caustic_gather_count": 200},
-        {"caustic_gather_count": 4},
-        lambda a, b: noise(b) > noise(a),
-    ),
-    "caustic_gather_distance_m": (
-        {"indirect": "none"}, {"caustic_gather_distance_m": 0.1}, lambda a, b: peak(b) < peak(a),
-    ),
-    "sampler": ({"shadow_rays": 16}, {"sampler": "independent"}, lambda a, b: a.pixel_sha256 != b.pixel_sha256),
-}  # fmt: skip
-
-
-def test_every_setting_has_its_effect_written_down() -> None:
-    assert {*EFFECTS, "normal_angle_deg"} == set(Settings.model_fields)
-
-
-@pytest.mark.parametrize("name", EFFECTS)
-def test_a_setting_does_what_it_says(render: Callable[..., Any], name: str) -> None:
-    base, change, holds = EFFECTS[name]
-    settings = {**SMALL, **base}
-    before = render("cornell-spheres", **settings)
-    after = render("cornell-spheres", **{**settings, **change})
-    if name not in ("threads", "exposure"):
-        assert after.pixel_sha256 != before.pixel_sha256
-    assert holds(before, after)
-
-
-def test_photons_on_surfaces_turned_away_count_by_the_angle(
-    render: Callable[..., Any], make_scene: Callable[..., Path]
-) -> None:
-    """Inside a ball of radius 1, photons within 0.2 m lie on normals up to 11.5 degrees away, half within 8."""
-    ball = '<shape type="sphere"><boolean name="flip_normals" value="true"/></shape><emitter type="point"/>'
-    settings = {**SMALL, "indirect": "direct_visualization", "gather_count": 5000, "gather_distance_m": 0.2}
-    scene = make_scene(ball)
-    direct = render(scene, **{**settings, "indirect": "none"}).pixels.mean()
-    all_, half, none = (
-        render(scene, **settings, normal_angle_deg=angle).pixels.mean() - direct for angle in (30, 8.1, 0.01)
-    )
-    assert half == pytest.approx(all_ / 2, rel=0.1)
-    assert none < 0.05 * all_
-
-
-def test_stratified_samples_are_less_noisy(render: Callable[..., Any]) -> None:
-    """Soft shadows and gather rays over 24 x 24 pixels of the boxes, against many samples: at least 1.3 times."""
-    settings = {**SMALL, "width": 24, "height": 24, "jitter": False, "indirect": "none", "shadow_rays": 16}
-    exact = render("cornell-boxes", **{**settings, "shadow_rays": 1600}).pixels
-    errors = [
-        float(((render("cornell-boxes", **settings, sampler=sampler).pixels - exact) ** 2).mean())
-        for sampler in ("independent", "stratified")
-    ]
-    assert errors[0] > 1.3 * errors[1]

@@ -5,11 +5,19 @@ import math
 import numpy as np
 
 from joulebox_render.kernels.compilation import device, kernel
-from joulebox_render.kernels.rng import child_key, path_key, sample_2d, uniform
+from joulebox_render.kernels.rng import child_key, draw_1d, draw_2d, fill_2d
+from joulebox_render.kernels.surface import surface_at_hit
 from joulebox_render.kernels.vector import cosine_direction, from_frame, row3, set_row3
 
-POINT_LIGHT, SPOT_LIGHT, RECTANGLE_LIGHT, DISK_LIGHT, SPHERE_LIGHT, MESH_LIGHT = 0, 1, 2, 3, 4, 5
-EMISSION_STREAM = 2
+POINT_LIGHT, SPOT_LIGHT, RECTANGLE_LIGHT, DISK_LIGHT, SPHERE_LIGHT, MESH_LIGHT, ENVIRONMENT = 0, 1, 2, 3, 4, 5, 6
+LIGHT_BRANCH, CLOSE_BRANCH = 1000, 1_000_000
+# Samples of a flat light that bring more than this many times a whole sky of its radiance are left to rays by cosine,
+# whose every hit brings one sky: near a light and where lights meet, the inverse square has no bound.
+CLOSE = 2.0
+# How far away the environment is taken to be [m].
+SKY_DISTANCE = 1e30
+# Directions of emission that photons can be aimed at: cells of equal probability.
+AIM_ROWS, AIM_COLUMNS = 32, 64
 
 
 @device
@@ -128,114 +136,222 @@ def light_sample(tables, light, px, py, pz, u, v):
     d2 = dx * dx + dy * dy + dz * dz
     if d2 == 0.0:
         return 0.0, 0.0, 1.0, 0.0, 0.0
-    distance = math.sqrt(d2)
-    dx, dy, dz = dx / distance, dy / distance, dz / distance
+    # One division: there are many in this loop otherwise, and they are what it waits for.
+    inverse = 1.0 / math.sqrt(d2)
+    distance = d2 * inverse
+    dx, dy, dz = dx * inverse, dy * inverse, dz * inverse
     if kind == POINT_LIGHT:
-        return dx, dy, dz, distance, 1.0 / d2
+        return dx, dy, dz, distance, inverse * inverse
     if kind == SPOT_LIGHT:
         ax, ay, az = row3(tables.light_normal, light)
         cos_axis = -(dx * ax + dy * ay + dz * az)
         beam, cutoff = cone_cosines(tables, light)
-        return dx, dy, dz, distance, spot_falloff(cos_axis, beam, cutoff) / d2
+        return dx, dy, dz, distance, spot_falloff(cos_axis, beam, cutoff) * inverse * inverse
     cos_light = -(dx * nx + dy * ny + dz * nz)
-    return dx, dy, dz, distance, max(0.0, cos_light) * tables.light_area[light] / d2
+    return dx, dy, dz, distance, max(0.0, cos_light) * tables.light_area[light] * inverse * inverse
 
 
 @kernel
-def shadow_rays(tables, light, count, columns, points, first, last, origin, direction, limit, value, owner):
+def shadow_rays(tables, light, count, columns, points, first, last, origin, direction, limit, weight, owner):
     """Shadow rays from points [first, last) to stratified samples of one light; returns how many were written.
 
-    Only samples that would light the point are written. value (N, 3) f4 is the radiance that each reflects if
-    nothing blocks it, already divided by `count`; owner (N,) i4 is the point's row, counted from `first`.
-    limit (N,) f4 stops just short of the light [m].
+    Only samples that would light the point, and are not CLOSE, are written. weight (N,) f4 [sr] times the light's
+    radiance and the point's albedo is what each reflects if nothing blocks it, already divided by pi and `count`;
+    owner (N,) i4 is the point's row, counted from `first`. limit (N,) f4 stops just short of the light [m].
     """
-    written = 0
+    written, share = 0, 1.0 / (math.pi * count)
     for row in range(first, last):
         px, py, pz = row3(points.position, row)
         nx, ny, nz = row3(points.normal, row)
         gx, gy, gz = row3(points.geometric, row)
-        key = child_key(points.key[row], 1000 + light)
-        for i in range(count):
-            u, v = sample_2d(key, 1, i, count, columns)
-            dx, dy, dz, distance, scale = light_sample(tables, light, px, py, pz, u, v)
+        # Samples wait where their rays' own numbers will be written, which no ray reaches before it is read.
+        begin = written
+        key = child_key(points.key[row], LIGHT_BRANCH + light)
+        fill_2d(key, points.sample[row], 1, count, columns, limit, weight, begin)
+        for i in range(begin, begin + count):
+            u, v = limit[i], weight[i]
+            if tables.light_kind[light] == ENVIRONMENT:
+                dx, dy, dz = cosine_direction(nx, ny, nz, u, v)
+                distance, scale = SKY_DISTANCE, math.pi / max(1e-6, dx * nx + dy * ny + dz * nz)
+            else:
+                dx, dy, dz, distance, scale = light_sample(tables, light, px, py, pz, u, v)
             cos_point = dx * nx + dy * ny + dz * nz
             if scale <= 0.0 or cos_point <= 0.0 or dx * gx + dy * gy + dz * gz <= 0.0:
                 continue
-            weight = scale * cos_point / (math.pi * count)
+            if tables.light_close[light] > 0.0 and scale * cos_point > math.pi * CLOSE:
+                continue
             set_row3(origin, written, px, py, pz)
             set_row3(direction, written, dx, dy, dz)
             limit[written] = distance * (1.0 - 1e-4)
-            for c in range(3):
-                value[written, c] = points.albedo[row, c] * tables.light_radiance[light, c] * weight
+            weight[written] = scale * cos_point * share
             owner[written] = row - first
             written += 1
     return written
 
 
 @kernel
-def add_unblocked(blocked, value, owner, radiance):
-    """Add what unblocked rays carry to their owners; radiance (P, 3) f8 is added to in ray order."""
-    for i in range(blocked.shape[0]):
-        if not blocked[i]:
-            for c in range(3):
-                radiance[owner[i], c] += value[i, c]
+def add_unblocked(tables, light, points, first, blocked, weight, owner, radiance):
+    """Add what unblocked rays to a light carry to their owners; radiance (P, 3) f8 is added to in ray order.
+
+    Rays of one owner follow each other; owner counts points from `first`.
+    """
+    lx, ly, lz = row3(tables.light_radiance, light)
+    i, count = 0, blocked.shape[0]
+    while i < count:
+        point, total = owner[i], 0.0
+        while i < count and owner[i] == point:
+            if not blocked[i]:
+                total += weight[i]
+            i += 1
+        ax, ay, az = row3(points.albedo, first + point)
+        radiance[point, 0] += ax * lx * total
+        radiance[point, 1] += ay * ly * total
+        radiance[point, 2] += az * lz * total
+
+
+@kernel
+def close_points(tables, light, points, first, last, row):
+    """Rows of points [first, last) that may be close to a light; row (last - first,) i4; returns how many."""
+    count, reach = 0, tables.light_close[light]
+    cx, cy, cz = row3(tables.light_position, light)
+    for i in range(first, last):
+        px, py, pz = row3(points.position, i)
+        if (px - cx) ** 2 + (py - cy) ** 2 + (pz - cz) ** 2 < reach * reach:
+            row[count] = i
+            count += 1
+    return count
+
+
+@kernel
+def cosine_rays(points, row, light, count, columns, u, v, rays):
+    """Rays by cosine from the points named in row (N,) i4, `count` a point; rays is overwritten, owner the point's row.
+
+    u, v (N count,) f4 are overwritten with what the rays were made of.
+    """
+    for i in range(row.shape[0]):
+        px, py, pz = row3(points.position, row[i])
+        nx, ny, nz = row3(points.normal, row[i])
+        key = child_key(points.key[row[i]], CLOSE_BRANCH + light)
+        fill_2d(key, points.sample[row[i]], 1, count, columns, u, v, i * count)
+        for out in range(i * count, (i + 1) * count):
+            dx, dy, dz = cosine_direction(nx, ny, nz, u[out], v[out])
+            set_row3(rays.origin, out, px, py, pz)
+            set_row3(rays.direction, out, dx, dy, dz)
+            rays.owner[out] = row[i]
+
+
+@kernel
+def add_close(tables, light, points, first, count, rays, hits, radiance):
+    """Add what rays by cosine find of a light that its own samples leave out; radiance (P, 3) f8 counts from `first`.
+
+    A ray finds the light with the density that a sample of it has where this brings more than CLOSE skies, and
+    nothing elsewhere: the two estimates share the light's surface between them, so their sum has no bias.
+    """
+    lx, ly, lz = row3(tables.light_radiance, light)
+    for i in range(rays.owner.shape[0]):
+        primitive = hits.primitive[i]
+        if primitive < 0 or tables.light[primitive] != light:
+            continue
+        front, _, _, _, gx, gy, gz, _, _, _ = surface_at_hit(tables, rays, hits, i, primitive)
+        point, distance = rays.owner[i], np.float64(hits.distance[i])
+        dx, dy, dz = row3(rays.direction, i)
+        nx, ny, nz = row3(points.normal, point)
+        hx, hy, hz = row3(points.geometric, point)
+        cos_light, cos_point = -(dx * gx + dy * gy + dz * gz), dx * nx + dy * ny + dz * nz
+        skies = tables.light_area[light] * cos_light * cos_point / (math.pi * distance * distance)
+        if not front or skies <= CLOSE or dx * hx + dy * hy + dz * hz <= 0.0:
+            continue
+        ax, ay, az = row3(points.albedo, point)
+        radiance[point - first, 0] += ax * lx / count
+        radiance[point - first, 1] += ay * ly / count
+        radiance[point - first, 2] += az * lz / count
 
 
 @device
-def emitted_direction(tables, light, nx, ny, nz, u, v):
-    """Direction of a photon and its flux relative to the light's: cosine for surfaces, uniform for a point."""
+def sphere_direction(u, v):
+    """Uniform direction."""
+    z = 1.0 - 2.0 * u
+    r = math.sqrt(max(0.0, 1.0 - z * z))
+    return r * math.cos(2.0 * math.pi * v), r * math.sin(2.0 * math.pi * v), z
+
+
+@device
+def emitted_ray(tables, light, a, b, u, v):
+    """Where and how one photon leaves a light: (origin, direction, chance that it is emitted at all).
+
+    a, b place the origin; u, v choose the direction alone: from a sphere and from the environment it is uniform, and
+    the origin follows it; from flat lights it has the cosine density about the normal. A spot's directions are uniform
+    in its cone, and its falloff is the chance. Source: Jensen 2001, section 5.1.
+    """
+    epsilon = tables.epsilon[0]
     kind = tables.light_kind[light]
-    if kind == POINT_LIGHT:
-        z = 1.0 - 2.0 * u
-        r = math.sqrt(max(0.0, 1.0 - z * z))
-        return r * math.cos(2.0 * math.pi * v), r * math.sin(2.0 * math.pi * v), z, 1.0
+    px, py, pz = row3(tables.light_position, light)
+    nx, ny, nz = row3(tables.light_normal, light)
     if kind == SPOT_LIGHT:
         beam, cutoff = cone_cosines(tables, light)
         z = 1.0 - u * (1.0 - cutoff)
         r = math.sqrt(max(0.0, 1.0 - z * z))
-        ax, ay, az = row3(tables.light_normal, light)
-        dx, dy, dz = from_frame(ax, ay, az, r * math.cos(2.0 * math.pi * v), r * math.sin(2.0 * math.pi * v), z)
-        return dx, dy, dz, spot_falloff(z, beam, cutoff)
+        dx, dy, dz = from_frame(nx, ny, nz, r * math.cos(2.0 * math.pi * v), r * math.sin(2.0 * math.pi * v), z)
+        return px, py, pz, dx, dy, dz, spot_falloff(z, beam, cutoff)
+    if kind in (POINT_LIGHT, SPHERE_LIGHT, ENVIRONMENT):
+        dx, dy, dz = sphere_direction(u, v)
+        radius = tables.light_radius[light]
+        if kind == SPHERE_LIGHT:
+            side = nx
+            nx, ny, nz = cosine_direction(dx, dy, dz, a, b)
+            px, py, pz = px + side * radius * nx, py + side * radius * ny, pz + side * radius * nz
+            return px + epsilon * nx, py + epsilon * ny, pz + epsilon * nz, dx, dy, dz, 1.0
+        if kind == ENVIRONMENT:
+            r = math.sqrt(a)
+            x, y, z = from_frame(dx, dy, dz, r * math.cos(2.0 * math.pi * b), r * math.sin(2.0 * math.pi * b), -1.0)
+            px, py, pz = px + radius * x, py + radius * y, pz + radius * z
+        return px, py, pz, dx, dy, dz, 1.0
+    px, py, pz, nx, ny, nz = light_point(tables, light, a, b)
     dx, dy, dz = cosine_direction(nx, ny, nz, u, v)
-    return dx, dy, dz, 1.0
+    return px + epsilon * nx, py + epsilon * ny, pz + epsilon * nz, dx, dy, dz, 1.0
+
+
+@device
+def drawn_flux(tables, light):
+    """Flux of the rays drawn over the flux that leaves the light: above 1 for a spot, whose falloff loses some."""
+    if tables.light_kind[light] != SPOT_LIGHT:
+        return 1.0
+    cos_beam, cos_cutoff = cone_cosines(tables, light)
+    beam, cutoff = math.acos(cos_beam), math.acos(cos_cutoff)
+    mean = cos_cutoff if beam == cutoff else (math.sin(cutoff) - math.sin(beam)) / (cutoff - beam)
+    return (1.0 - cos_cutoff) / (1.0 - mean)
 
 
 @kernel
-def emit_photons(tables, seed, first, origin, direction, flux, key):
-    """Emit photons number first, first + 1, ...: lights are chosen in proportion to power.
+def emit_photons(tables, aim, sobol, family, first, rays):
+    """Emit photons number first, first + 1, ...: lights are chosen in proportion to the power they send on aimed paths.
 
-    origin, direction, flux (N, 3) f4 are overwritten; flux [W] is yet to be divided by the number emitted.
-    A spot light's photons are drawn uniformly in its cone and weighted by its falloff; all others carry equal
-    power. Source: Jensen 2001, section 5.1.
+    rays is overwritten; owner is the light, weight flux [W], yet to be divided by the number emitted, equal for all
+    photons of a light; 0 for one that a spot's falloff swallows. Where `aim` lists cells of a light's directions,
+    only these are drawn, and the flux is their share of the light's.
     """
-    epsilon = tables.epsilon[0]
     light_count = tables.light_kind.shape[0]
-    for i in range(origin.shape[0]):
-        photon_key = path_key(seed, EMISSION_STREAM, first + i)
-        key[i] = photon_key
-        u = uniform(photon_key, 0)
+    for i in range(rays.sample.shape[0]):
+        number = first + i
+        choice = draw_1d(sobol, family, number, 0)
         light = 0
-        while light < light_count - 1 and u >= tables.light_choice[light]:
+        while light < light_count - 1 and choice >= aim.choice[light]:
             light += 1
-        chance = tables.light_choice[light] - (tables.light_choice[light - 1] if light > 0 else 0.0)
-        kind = tables.light_kind[light]
-        if kind in (POINT_LIGHT, SPOT_LIGHT):
-            px, py, pz = row3(tables.light_position, light)
-            nx, ny, nz = 0.0, 0.0, 0.0
-        else:
-            px, py, pz, nx, ny, nz = light_point(
-                tables, light, uniform(photon_key, 1), uniform(photon_key, 2)
-            )
-        dx, dy, dz, share = emitted_direction(
-            tables, light, nx, ny, nz, uniform(photon_key, 3), uniform(photon_key, 4)
-        )
-        if kind == SPOT_LIGHT:
-            # light_power is what the spot emits; the cone's solid angle times full intensity is what is drawn.
-            solid_angle = 2.0 * math.pi * (1.0 - tables.light_cone_cos[light, 1])
-            for c in range(3):
-                flux[i, c] = tables.light_radiance[light, c] * solid_angle * share / chance
-        else:
-            for c in range(3):
-                flux[i, c] = tables.light_power[light, c] / chance
-        set_row3(origin, i, px + epsilon * nx, py + epsilon * ny, pz + epsilon * nz)
-        set_row3(direction, i, dx, dy, dz)
+        chance = aim.choice[light] - (aim.choice[light - 1] if light > 0 else 0.0)
+        a, b = draw_2d(sobol, family, number, 1)
+        u, v = draw_2d(sobol, family, number, 3)
+        cells = aim.first[light + 1] - aim.first[light]
+        if cells > 0:
+            place = min(np.int64(u * cells), cells - 1)
+            cell = aim.cell[aim.first[light] + place]
+            u, v = (cell // AIM_COLUMNS + (u * cells - place)) / AIM_ROWS, (cell % AIM_COLUMNS + v) / AIM_COLUMNS
+        px, py, pz, dx, dy, dz, leaves = emitted_ray(tables, light, a, b, u, v)
+        share = drawn_flux(tables, light) * aim.share[light] / chance
+        if leaves < 1.0 and draw_1d(sobol, family, number, 5) >= leaves:
+            share = 0.0
+        fx, fy, fz = row3(tables.light_power, light)
+        set_row3(rays.origin, i, px, py, pz)
+        set_row3(rays.direction, i, dx, dy, dz)
+        set_row3(rays.weight, i, fx * share, fy * share, fz * share)
+        # A family of its own: the first bounce must not use the numbers that placed the photon on its light.
+        rays.owner[i], rays.key[i], rays.sample[i] = light, child_key(family, 0), number

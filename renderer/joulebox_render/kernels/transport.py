@@ -1,14 +1,25 @@
 """Paths from the eye and into the scene: camera rays, and what a ray does where it hits."""
 
+import math
 
 from joulebox_render.kernels.compilation import device, kernel
-from joulebox_render.kernels.rng import child_key, path_key, sample_2d, uniform
+from joulebox_render.kernels.importance import warp_to_cells
+from joulebox_render.kernels.rng import INDEPENDENT, SOBOL, child_key, draw_1d, draw_2d, path_key, sample_2d
 from joulebox_render.kernels.surface import surface_at_hit
-from joulebox_render.kernels.vector import cosine_direction, fresnel, normalized, reflected, refracted, row3, set_row3
+from joulebox_render.kernels.vector import (
+    cosine_direction,
+    fresnel,
+    from_frame,
+    normalized,
+    reflected,
+    refracted,
+    row3,
+    set_row3,
+)
 
-DIFFUSE, MIRROR, GLASS = 0, 1, 2
+DIFFUSE, MIRROR, GLASS, PHONG = 0, 1, 2, 4
 CAMERA_STREAM = 1
-GATHER_BRANCH = 100
+GATHER_BRANCH, LOBE_BRANCH = 100, 2
 # A glass hit follows both branches while the weaker one still carries this much of the pixel: rays are cheap, and
 # a light seen through several weak reflections is a bright dot where one branch is drawn at random.
 SPLIT_WEIGHT = 0.001
@@ -16,20 +27,45 @@ SPLIT_WEIGHT = 0.001
 POINT_WEIGHT = 0.05
 
 
+@device
+def push_ray(rays, row, px, py, pz, dx, dy, dz, wx, wy, wz, owner, key, sample):
+    """Write one ray into row `row` of a queue."""
+    set_row3(rays.origin, row, px, py, pz)
+    set_row3(rays.direction, row, dx, dy, dz)
+    set_row3(rays.weight, row, wx, wy, wz)
+    rays.owner[row], rays.key[row], rays.sample[row] = owner, key, sample
+
+
+@device
+def push_point(
+    points, row, px, py, pz, gx, gy, gz, sx, sy, sz, ax, ay, az, wx, wy, wz, owner, key, sample, distance
+):
+    """Write one diffuse point into row `row`: position, geometric and shading normal, albedo, weight."""
+    set_row3(points.position, row, px, py, pz)
+    set_row3(points.geometric, row, gx, gy, gz)
+    set_row3(points.normal, row, sx, sy, sz)
+    set_row3(points.albedo, row, ax, ay, az)
+    set_row3(points.weight, row, wx, wy, wz)
+    points.owner[row], points.key[row], points.sample[row] = owner, key, sample
+    points.distance[row] = distance
+
+
 @kernel
-def camera_rays(seed, first_pixel, samples, columns, jitter, width, height, frame, near, origin, direction, key):
+def camera_rays(seed, stream, first_pixel, samples, columns, jitter, width, height, frame, near, rays):
     """Rays through pixels first_pixel ...: `samples` a pixel, in raster order, then sample order.
+
+    rays is overwritten: weight 1, owner the pixel counted from the first.
 
     frame (4, 3) f8: camera position, then the world vectors of film x (towards the right edge), film y (towards
     the bottom edge), and the view axis, so that a film position in [-1, 1]^2 maps to axis + x right + y down.
     Without jitter, samples sit at the centres of their strata.
     """
-    for i in range(origin.shape[0]):
+    for i in range(rays.sample.shape[0]):
         pixel = first_pixel + i // samples
         sample = i % samples
-        pixel_key = path_key(seed, CAMERA_STREAM, pixel)
+        pixel_key = path_key(seed, stream, pixel)
         if jitter:
-            u, v = sample_2d(pixel_key, 1, sample, samples, columns)
+            u, v = sample_2d(pixel_key, 0, 1, sample, samples, columns)
         elif columns > 0:
             u = (sample % columns + 0.5) / columns
             v = (sample // columns + 0.5) / (samples // columns)
@@ -42,33 +78,9 @@ def camera_rays(seed, first_pixel, samples, columns, jitter, width, height, fram
         dx = frame[3, 0] + x * frame[1, 0] + y * frame[2, 0]
         dy = frame[3, 1] + x * frame[1, 1] + y * frame[2, 1]
         dz = frame[3, 2] + x * frame[1, 2] + y * frame[2, 2]
-        set_row3(origin, i, frame[0, 0] + near * dx, frame[0, 1] + near * dy, frame[0, 2] + near * dz)
+        px, py, pz = frame[0, 0] + near * dx, frame[0, 1] + near * dy, frame[0, 2] + near * dz
         dx, dy, dz = normalized(dx, dy, dz)
-        set_row3(direction, i, dx, dy, dz)
-        key[i] = child_key(pixel_key, sample)
-
-
-@device
-def push_ray(rays, row, px, py, pz, dx, dy, dz, wx, wy, wz, owner, key):
-    """Write one ray into row `row` of a queue."""
-    set_row3(rays.origin, row, px, py, pz)
-    set_row3(rays.direction, row, dx, dy, dz)
-    set_row3(rays.weight, row, wx, wy, wz)
-    rays.owner[row] = owner
-    rays.key[row] = key
-
-
-@device
-def push_point(points, row, px, py, pz, gx, gy, gz, sx, sy, sz, ax, ay, az, wx, wy, wz, owner, key, distance):
-    """Write one diffuse point into row `row`: position, geometric and shading normal, albedo, weight."""
-    set_row3(points.position, row, px, py, pz)
-    set_row3(points.geometric, row, gx, gy, gz)
-    set_row3(points.normal, row, sx, sy, sz)
-    set_row3(points.albedo, row, ax, ay, az)
-    set_row3(points.weight, row, wx, wy, wz)
-    points.owner[row] = owner
-    points.key[row] = key
-    points.distance[row] = distance
+        push_ray(rays, i, px, py, pz, dx, dy, dz, 1.0, 1.0, 1.0, i // samples, pixel_key, sample)
 
 
 @device
@@ -85,17 +97,36 @@ def glass_bounce(tables, material, front, dx, dy, dz, gx, gy, gz, sx, sy, sz):
     return reflectance, rx, ry, rz, tx, ty, tz, eta
 
 
-@kernel
-def advance(tables, split, emission, rays, hits, radiance, points, following):
-    """One step of paths through mirrors and glass until they meet a diffuse surface.
+@device
+def phong_bounce(exponent, dx, dy, dz, gx, gy, gz, sx, sy, sz, u, v):
+    """A direction from a Phong lobe and what it reflects relative to the lobe's reflectance: (direction, scale).
 
-    split      glass follows both branches where they still matter, else one, chosen by Fresnel reflectance;
-               points that count for little are then subject to Russian roulette
-    emission   whether light emitted at these hits counts for the rays' owners
+    The density is (n + 1) / (2 pi) cos^n about the mirror direction; scale = (n + 2) / (n + 1) cos theta, 0 where
+    the lobe dips below the surface. Source: Lafortune & Willems 1994, as in Mitsuba 0.6.
+    """
+    rx, ry, rz = reflected(dx, dy, dz, sx, sy, sz)
+    cos_lobe = math.pow(1.0 - u, 1.0 / (exponent + 1.0))
+    r = math.sqrt(max(0.0, 1.0 - cos_lobe * cos_lobe))
+    phi = 2.0 * math.pi * v
+    ox, oy, oz = from_frame(rx, ry, rz, r * math.cos(phi), r * math.sin(phi), cos_lobe)
+    cos_out = ox * sx + oy * sy + oz * sz
+    if cos_out <= 0.0 or ox * gx + oy * gy + oz * gz <= 0.0:
+        return ox, oy, oz, 0.0
+    return ox, oy, oz, (exponent + 2.0) / (exponent + 1.0) * cos_out
+
+
+@kernel
+def advance(tables, split, sobol, emission, rays, hits, radiance, points, following):
+    """One step of paths through mirrors, glass and glossy lobes until they meet a diffuse surface.
+
+    split      0: a path goes one way on, chosen at random. Else glass follows both branches where they still matter,
+               a Phong surface its diffuse part and `split` rays of its lobe, and points that count for little are
+               subject to Russian roulette
+    emission   whether light emitted at these hits, and the sky where there is none, counts for the rays' owners
     rays       Rays that were traced; hits what they met
     radiance   (owners, 3) f8, added to where `emission`
     points     Points, overwritten: the diffuse hits (weight = what they count for their owner)
-    following  Rays, overwritten (room for 2 N when split): the specular paths that go on
+    following  Rays, overwritten (room for max(2, split) N when split): the specular paths that go on
     Returns (points written, rays written), both in the order of the rays.
 
     Refraction scales radiance by the square of the ratio of indices (Veach 1997, section 5.2), which cancels
@@ -105,12 +136,16 @@ def advance(tables, split, emission, rays, hits, radiance, points, following):
     point_count, ray_count = 0, 0
     for i in range(rays.origin.shape[0]):
         primitive = hits.primitive[i]
+        wx, wy, wz = row3(rays.weight, i)
+        owner, key, sample = rays.owner[i], rays.key[i], rays.sample[i]
         if primitive < 0:
+            if emission:
+                radiance[owner, 0] += wx * tables.sky[0]
+                radiance[owner, 1] += wy * tables.sky[1]
+                radiance[owner, 2] += wz * tables.sky[2]
             continue
         dx, dy, dz = row3(rays.direction, i)
         front, px, py, pz, gx, gy, gz, sx, sy, sz = surface_at_hit(tables, rays, hits, i, primitive)
-        wx, wy, wz = row3(rays.weight, i)
-        owner, key = rays.owner[i], rays.key[i]
         light = tables.light[primitive]
         if emission and light >= 0 and front:
             radiance[owner, 0] += wx * tables.light_radiance[light, 0]
@@ -120,78 +155,111 @@ def advance(tables, split, emission, rays, hits, radiance, points, following):
         kind = tables.material_kind[material]
         ax, ay, az = row3(tables.material_albedo, material)
         ex, ey, ez = epsilon * gx, epsilon * gy, epsilon * gz
-        if kind == DIFFUSE:
-            weight = max(wx, wy, wz)
-            if split and weight < POINT_WEIGHT:
-                if uniform(key, 1) * POINT_WEIGHT >= weight:
-                    continue
-                wx, wy, wz = wx * POINT_WEIGHT / weight, wy * POINT_WEIGHT / weight, wz * POINT_WEIGHT / weight
-            if front or tables.material_two_sided[material]:
-                push_point(
-                    points, point_count, px + ex, py + ey, pz + ez, gx, gy, gz, sx, sy, sz,
-                    ax, ay, az, wx, wy, wz, owner, key, hits.distance[i],
-                )  # fmt: skip
-                point_count += 1
-        elif kind == MIRROR:
-            if front or tables.material_two_sided[material]:
-                rx, ry, rz = reflected(dx, dy, dz, sx, sy, sz)
-                push_ray(
-                    following, ray_count, px + ex, py + ey, pz + ez, rx, ry, rz,
-                    wx * ax, wy * ay, wz * az, owner, child_key(key, 0),
-                )  # fmt: skip
-                ray_count += 1
-        elif kind == GLASS:
+        if kind == GLASS:
             share, rx, ry, rz, tx, ty, tz, eta = glass_bounce(
                 tables, material, front, dx, dy, dz, gx, gy, gz, sx, sy, sz
             )
             weight = max(wx, wy, wz)
-            both = split and weight * min(share, 1.0 - share) > SPLIT_WEIGHT
-            reflect = both or uniform(key, 0) < share
+            both = split > 0 and weight * min(share, 1.0 - share) > SPLIT_WEIGHT
+            reflect = both or draw_1d(sobol, key, sample, 0) < share
             scale = share if both else 1.0
             if reflect:
                 push_ray(
                     following, ray_count, px + ex, py + ey, pz + ez, rx, ry, rz,
-                    wx * scale, wy * scale, wz * scale, owner, child_key(key, 0),
+                    wx * scale, wy * scale, wz * scale, owner, child_key(key, 0), sample,
                 )  # fmt: skip
                 ray_count += 1
             if both or not reflect:
                 scale = eta * eta * (1.0 - share if both else 1.0)
                 push_ray(
                     following, ray_count, px - ex, py - ey, pz - ez, tx, ty, tz,
-                    wx * scale, wy * scale, wz * scale, owner, child_key(key, 1),
+                    wx * scale, wy * scale, wz * scale, owner, child_key(key, 1), sample,
                 )  # fmt: skip
                 ray_count += 1
+            continue
+        if not (front or tables.material_two_sided[material]):
+            continue
+        if kind == MIRROR:
+            rx, ry, rz = reflected(dx, dy, dz, sx, sy, sz)
+            push_ray(
+                following, ray_count, px + ex, py + ey, pz + ez, rx, ry, rz,
+                wx * ax, wy * ay, wz * az, owner, child_key(key, 0), sample,
+            )  # fmt: skip
+            ray_count += 1
+            continue
+        diffuse = kind == DIFFUSE
+        if kind == PHONG:
+            cx, cy, cz = row3(tables.material_glossy, material)
+            glossy, lobes = True, split
+            diffuse = max(ax, ay, az) > 0.0
+            if split == 0:
+                lobes = 1
+                if diffuse:
+                    chance = max(cx, cy, cz) / (max(cx, cy, cz) + max(ax, ay, az))
+                    glossy = draw_1d(sobol, key, sample, 2) < chance
+                    diffuse = not glossy
+                    scale = 1.0 / (chance if glossy else 1.0 - chance)
+                    wx, wy, wz = wx * scale, wy * scale, wz * scale
+            if glossy:
+                branch = child_key(key, LOBE_BRANCH)
+                for j in range(lobes):
+                    u, v = sample_2d(branch, sample, 1, j, lobes, SOBOL if sobol else INDEPENDENT)
+                    rx, ry, rz, scale = phong_bounce(
+                        tables.material_exponent[material], dx, dy, dz, gx, gy, gz, sx, sy, sz, u, v
+                    )
+                    if scale > 0.0:
+                        scale /= lobes
+                        push_ray(
+                            following, ray_count, px + ex, py + ey, pz + ez, rx, ry, rz,
+                            wx * cx * scale, wy * cy * scale, wz * cz * scale, owner, branch, sample * lobes + j,
+                        )  # fmt: skip
+                        ray_count += 1
+        if diffuse:
+            weight = max(wx, wy, wz)
+            if split > 0 and weight < POINT_WEIGHT:
+                if draw_1d(sobol, key, sample, 1) * POINT_WEIGHT >= weight:
+                    continue
+                wx, wy, wz = wx * POINT_WEIGHT / weight, wy * POINT_WEIGHT / weight, wz * POINT_WEIGHT / weight
+            push_point(
+                points, point_count, px + ex, py + ey, pz + ez, gx, gy, gz, sx, sy, sz,
+                ax, ay, az, wx, wy, wz, owner, key, sample, hits.distance[i],
+            )  # fmt: skip
+            point_count += 1
     return point_count, ray_count
 
 
 @kernel
-def gather_rays(points, first, last, count, columns, rays):
+def gather_rays(points, first, last, count, columns, chance, rays):
     """Cosine-distributed rays into the hemisphere over points [first, last), `count` a point.
 
-    Each ray's weight is albedo / count, so that the mean of weight x incident radiance is the reflected
-    radiance; owner is the point's row counted from `first`. A ray that an interpolated normal sends below the
-    surface counts nothing. rays is overwritten. Source: Jensen 2001, eq. 8.6.
+    chance (last - first, cells) f4 of kernels.importance bends the distribution; without rows it has no say. A
+    ray's weight is the cosine density over its own, 0 where an interpolated normal sends it below the surface: pi
+    times the mean of weight x incident radiance is the irradiance. owner is the ray's own row. rays is overwritten.
+    Source: Jensen 2001, eq. 8.6.
     """
+    bent = chance.shape[0] > 0
     row = 0
     for point in range(first, last):
         px, py, pz = row3(points.position, point)
         nx, ny, nz = row3(points.normal, point)
         gx, gy, gz = row3(points.geometric, point)
-        ax, ay, az = row3(points.albedo, point)
-        key = child_key(points.key[point], GATHER_BRANCH)
+        key, sample = child_key(points.key[point], GATHER_BRANCH), points.sample[point]
         for i in range(count):
-            u, v = sample_2d(key, 1, i, count, columns)
+            u, v = sample_2d(key, sample, 1, i, count, columns)
+            weight = 1.0
+            if bent:
+                u, v, weight = warp_to_cells(chance, point - first, u, v)
             dx, dy, dz = cosine_direction(nx, ny, nz, u, v)
-            share = 1.0 / count if dx * gx + dy * gy + dz * gz > 0.0 else 0.0
+            if dx * gx + dy * gy + dz * gz <= 0.0:
+                weight = 0.0
             push_ray(
-                rays, row, px, py, pz, dx, dy, dz,
-                ax * share, ay * share, az * share, point - first, child_key(key, i),
+                rays, row, px, py, pz, dx, dy, dz, weight, weight, weight, row, key, sample * count + i
             )  # fmt: skip
             row += 1
 
 
 @kernel
-def continue_paths(points, bounce, rays):
+def continue_paths(points, sobol, bounce, rays):
     """Extend paths from diffuse points by one cosine-distributed ray, with Russian roulette after two bounces.
 
     rays is overwritten, in the order of the points; returns how many go on. A ray's weight is the point's times
@@ -199,7 +267,7 @@ def continue_paths(points, bounce, rays):
     """
     row = 0
     for point in range(points.owner.shape[0]):
-        key = child_key(points.key[point], GATHER_BRANCH)
+        key, sample = child_key(points.key[point], GATHER_BRANCH), points.sample[point]
         wx = points.weight[point, 0] * points.albedo[point, 0]
         wy = points.weight[point, 1] * points.albedo[point, 1]
         wz = points.weight[point, 2] * points.albedo[point, 2]
@@ -207,17 +275,18 @@ def continue_paths(points, bounce, rays):
         if bounce >= 2:
             before = max(points.weight[point, 0], points.weight[point, 1], points.weight[point, 2])
             chance = min(0.95, max(wx, wy, wz) / before) if before > 0.0 else 0.0
-            if uniform(key, 0) >= chance:
+            if draw_1d(sobol, key, sample, 0) >= chance:
                 continue
         px, py, pz = row3(points.position, point)
         nx, ny, nz = row3(points.normal, point)
         gx, gy, gz = row3(points.geometric, point)
-        dx, dy, dz = cosine_direction(nx, ny, nz, uniform(key, 1), uniform(key, 2))
+        u, v = draw_2d(sobol, key, sample, 1)
+        dx, dy, dz = cosine_direction(nx, ny, nz, u, v)
         if dx * gx + dy * gy + dz * gz <= 0.0:
             continue
         push_ray(
             rays, row, px, py, pz, dx, dy, dz,
-            wx / chance, wy / chance, wz / chance, points.owner[point], child_key(key, 0),
+            wx / chance, wy / chance, wz / chance, points.owner[point], child_key(key, 0), sample,
         )  # fmt: skip
         row += 1
     return row

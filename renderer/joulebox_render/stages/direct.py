@@ -2,24 +2,40 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from joulebox_render.kernels.lighting import add_unblocked, shadow_rays
-from joulebox_render.records import F4, F8, POINT_LIGHT, SPOT_LIGHT, Points
+from joulebox_render.kernels.lighting import add_close, add_unblocked, close_points, cosine_rays, shadow_rays
+from joulebox_render.kernels.shadow_photons import HIDDEN, LIT, find_cells
+from joulebox_render.records import F8, POINT_LIGHT, SPOT_LIGHT, U1, Points, Rays, rows
 from joulebox_render.stages.context import Context
+from joulebox_render.stages.shadow_photons import ShadowCells
 
 
-def light_directly(context: Context, points: Points) -> tuple[F8, int]:
-    """Reflected radiance of light that arrives unscattered, (points, 3) f8, and the shadow rays traced."""
-    lights = len(context.tables.light_kind)
-    rays_per_point = context.settings.shadow_rays * max(1, lights)
+class DirectLight(NamedTuple):
+    """Reflected radiance (points, 3) f8, the shadow rays traced for it, and those that shadow photons saved."""
 
-    def chunk(first: int, last: int) -> tuple[F8, int]:
-        return sample_lights(context, points, first, last, context.settings.shadow_rays)
+    radiance: F8
+    rays: int
+    rays_saved: int
 
-    chunks = list(context.pool.map_chunks(chunk, len(points.owner), rays_per_point))
-    radiance = np.concatenate([part for part, _ in chunks]) if chunks else np.zeros((0, 3))
-    return radiance, sum(traced for _, traced in chunks)
+
+def light_directly(context: Context, points: Points, cells: ShadowCells | None = None) -> DirectLight:
+    """Reflected radiance of light that arrives unscattered; `cells` tell where no shadow rays are needed."""
+    samples = context.settings.shadow_rays
+
+    def chunk(first: int, last: int) -> DirectLight:
+        if cells is None:
+            return DirectLight(*sample_lights(context, points, first, last, samples), 0)
+        return _sample_unknown(context, cells, points, first, last, samples)
+
+    # A chunk holds the rays to one light at a time.
+    chunks = list(context.pool.map_chunks(chunk, len(points.owner), samples))
+    if not chunks:
+        return DirectLight(np.zeros((0, 3)), 0, 0)
+    radiance, traced, saved = zip(*chunks, strict=True)
+    return DirectLight(np.concatenate(radiance), sum(traced), sum(saved))
 
 
 def sample_lights(context: Context, points: Points, first: int, last: int, samples: int) -> tuple[F8, int]:
@@ -27,20 +43,74 @@ def sample_lights(context: Context, points: Points, first: int, last: int, sampl
 
     Returns reflected radiance (last - first, 3) f8 and the rays traced.
     """
-    tables = context.tables
     radiance = np.zeros((last - first, 3))
     traced = 0
-    for light, kind in enumerate(tables.light_kind):
-        count = 1 if kind in (POINT_LIGHT, SPOT_LIGHT) else samples
-        room = (last - first) * count
-        origin, direction, value = (np.empty((room, 3), np.float32) for _ in range(3))
-        limit: F4 = np.empty(room, np.float32)
-        owner = np.empty(room, np.int32)
-        written = shadow_rays(
-            tables, light, count, context.columns(count), points, first, last,
-            origin, direction, limit, value, owner,
-        )  # fmt: skip
-        blocked = context.intersector.occluded(origin[:written], direction[:written], limit[:written])
-        add_unblocked(blocked, value, owner, radiance)
-        traced += written
+    for light in range(len(context.tables.light_kind)):
+        traced += _sample_light(context, light, points, first, last, samples, radiance)
     return radiance, traced
+
+
+def _sample_light(
+    context: Context, light: int, points: Points, first: int, last: int, samples: int, radiance: F8, seen: bool = False
+) -> int:
+    """Add one light at points [first, last) to radiance (last - first, 3) f8; returns the samples taken.
+
+    Where the light is known to be `seen`, none of them is traced.
+    """
+    tables = context.tables
+    count = 1 if tables.light_kind[light] in (POINT_LIGHT, SPOT_LIGHT) else samples
+    room = (last - first) * count
+    origin, direction = np.empty((2, room, 3), np.float32)
+    limit, weight = np.empty((2, room), np.float32)
+    owner = np.empty(room, np.int32)
+    written = shadow_rays(
+        tables, light, count, context.columns(count), points, first, last,
+        origin, direction, limit, weight, owner,
+    )  # fmt: skip
+    if seen:
+        blocked: U1 = np.zeros(written, np.uint8)
+    else:
+        blocked = context.intersector.occluded(origin[:written], direction[:written], limit[:written])
+    add_unblocked(tables, light, points, first, blocked, weight, owner, radiance)
+    return int(written) + _sample_close(context, light, points, first, last, count, radiance)
+
+
+def _sample_close(
+    context: Context, light: int, points: Points, first: int, last: int, count: int, radiance: F8
+) -> int:
+    """Add the parts of a light that points are so close to that its own samples leave them out; returns the rays."""
+    tables = context.tables
+    if tables.light_close[light] == 0.0:
+        return 0
+    row = np.empty(last - first, np.int32)
+    row = row[: close_points(tables, light, points, first, last, row)]
+    if not len(row):
+        return 0
+    rays = Rays.empty(len(row) * count)
+    u, v = np.empty((2, len(row) * count), np.float32)
+    cosine_rays(points, row, light, count, context.columns(count), u, v, rays)
+    hits = context.intersector.closest(rays.origin, rays.direction)
+    add_close(tables, light, points, first, count, rays, hits, radiance)
+    return len(rays.owner)
+
+
+def _sample_unknown(
+    context: Context, cells: ShadowCells, points: Points, first: int, last: int, samples: int
+) -> DirectLight:
+    """As sample_lights, but rays are traced only where the cells do not know what a light's samples would meet."""
+    radiance = np.zeros((last - first, 3))
+    traced = saved = 0
+    cell = np.empty(last - first, np.int32)
+    find_cells(cells, points, first, last, cell)
+    for light in range(len(context.tables.light_kind)):
+        verdict = cells.verdict[light, cell]
+        order = np.argsort(verdict, kind="stable")
+        lit, hidden = np.searchsorted(verdict[order], (LIT, HIDDEN))
+        ordered, sums = Points(*rows(points, first + order)), np.ascontiguousarray(radiance[order])
+        traced += _sample_light(context, light, ordered, 0, lit, samples, sums[:lit])
+        saved += _sample_light(context, light, ordered, lit, hidden, samples, sums[lit:hidden], seen=True)
+        # Where the light is hidden, one sample a point tells how many would have been above the horizon.
+        unseen = np.zeros((len(order) - hidden, 3))
+        saved += samples * _sample_light(context, light, ordered, hidden, len(order), 1, unseen, seen=True)
+        radiance[order] = sums
+    return DirectLight(radiance, traced, saved)

@@ -7,10 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from joulebox_render.kernels.transport import camera_rays
+from joulebox_render.kernels.transport import CAMERA_STREAM, camera_rays
 from joulebox_render.records import F8, Camera, Points, Rays
-from joulebox_render.stages.context import Context
+from joulebox_render.stages.context import Context, grid
 from joulebox_render.stages.paths import follow_to_diffuse, join
+
+# Streams of random numbers between one look at the picture and the next.
+OVERTURE_STREAMS = 100
 
 
 class Sight(NamedTuple):
@@ -39,23 +42,31 @@ def camera_frame(camera: Camera, width: int, height: int) -> F8:
     return np.array([camera.to_world[:3, 3], -tangent * axes[:, 0], -tangent / aspect * axes[:, 1], axes[:, 2]])
 
 
-def look(context: Context, camera: Camera, first_pixel: int, pixel_count: int) -> Sight:
-    """Trace the eye rays of pixels [first_pixel, first_pixel + pixel_count)."""
+def look(
+    context: Context, camera: Camera, first_pixel: int, pixel_count: int,
+    size: tuple[int, int] | None = None, overture: int = 0,
+) -> Sight:  # fmt: skip
+    """Trace the eye rays of pixels [first_pixel, first_pixel + pixel_count).
+
+    An overture looks once through each pixel of a picture of its own size (width, height), never through the very
+    middle, which symmetric scenes put their edges into.
+    """
     settings = context.settings
-    samples = settings.samples_per_pixel
     assert settings.width and settings.height
+    width, height = size or (settings.width, settings.height)
+    samples = 1 if overture else settings.samples_per_pixel
+    jitter = settings.jitter or overture > 0
     frame = camera_frame(camera, settings.width, settings.height)
+    columns = context.columns(samples) if jitter else grid(samples)
 
     def chunk(first: int, last: int) -> tuple[F8, list[Points], int]:
         rays = Rays.empty((last - first) * samples)
         camera_rays(
-            settings.seed, first_pixel + first, samples, context.columns(samples), settings.jitter,
-            settings.width, settings.height, frame, camera.near_m, rays.origin, rays.direction, rays.key,
+            settings.seed, CAMERA_STREAM + OVERTURE_STREAMS * overture, first_pixel + first, samples, columns, jitter,
+            width, height, frame, camera.near_m, rays,
         )  # fmt: skip
-        rays.weight[:] = 1
-        rays.owner[:] = np.repeat(np.arange(last - first), samples)
         emitted = np.zeros((last - first, 3))
-        parts, traced = follow_to_diffuse(
+        parts, _, traced = follow_to_diffuse(
             context, rays, emitted, split=True, first_emission=True, specular_emission=True
         )
         for part in parts:

@@ -1,142 +1,103 @@
-"""Indirect light and caustics at diffuse points: density estimates, final gathering, and unbiased paths."""
+"""Indirect light at diffuse points: final gathering, and unbiased paths."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Iterable
 
 import numpy as np
 
-from joulebox_render.kernels.gathering import (
-    add_weighted,
-    estimate_irradiance,
-    nearest_irradiance,
-    reflect_irradiance,
-)
+from joulebox_render.kernels.gathering import add_weighted, reflect_irradiance, reflect_mean, take_unsure
+from joulebox_render.kernels.importance import CELL_COLUMNS, CELL_ROWS, incoming_chances
 from joulebox_render.kernels.transport import continue_paths, gather_rays
-from joulebox_render.records import F4, F8, Points, Rays, Scratch, Tree, rows
+from joulebox_render.records import F4, F8, Points, Rays, Scratch, rows
 from joulebox_render.stages.context import Context
 from joulebox_render.stages.direct import sample_lights
 from joulebox_render.stages.paths import follow_to_diffuse, join
-from joulebox_render.stages.photon_map import PhotonMap, grow_tree
+from joulebox_render.stages.photon_map import BOUNCED, CAUSTIC
+from joulebox_render.stages.precomputed import Illumination
 
-FILTERS = {"constant": 0, "cone": 1, "epanechnikov": 2}
-# A density estimate visits about as much memory as this many rays.
-RAYS_PER_ESTIMATE = 16
+NOT_BENT: F4 = np.empty((0, CELL_ROWS * CELL_COLUMNS), np.float32)
+
 # No path is followed through more diffuse bounces; Russian roulette ends nearly all long before.
 MAX_PATH_BOUNCES = 1000
+# A gather ray's stretches shorter than the photon map's resolution that are gathered again before it is asked.
+MOST_SHORT = 8
 
 
-class IrradianceRecords(NamedTuple):
-    """Irradiance computed ahead at some photons' positions: tree, irradiance (R, 3) f4 in its order [W m^-2].
-
-    reach_m is how far a look-up may go: records of every nth photon lie sqrt(n) times as far apart as photons.
-    """
-
-    tree: Tree
-    irradiance: F4
-    reach_m: float
-
-
-@dataclass(frozen=True)
-class DensityEstimate:
-    """How photons around a point become irradiance."""
-
-    photons: PhotonMap
-    count: int
-    reach_m: float
-    cos_limit: float
-    filter_kind: int
-
-    def __call__(self, position: F4, normal: F4) -> F4:
-        """Irradiance (N, 3) f4 at points [W m^-2]."""
-        irradiance = np.empty((len(position), 3), np.float32)
-        estimate_irradiance(
-            self.photons.tree, self.photons.flux, position, normal, self.count, self.reach_m,
-            self.cos_limit, self.filter_kind, Scratch.empty(self.count), irradiance,
-        )  # fmt: skip
-        return irradiance
-
-
-def global_estimate(context: Context, photons: PhotonMap) -> DensityEstimate:
-    """The estimate that the settings ask for in the global map."""
-    settings = context.settings
-    return DensityEstimate(
-        photons, settings.gather_count, settings.gather_distance_m,
-        math.cos(math.radians(settings.normal_angle_deg)), FILTERS[settings.gather_filter],
-    )  # fmt: skip
-
-
-def caustic_estimate(context: Context, photons: PhotonMap) -> DensityEstimate:
-    """The estimate that the settings ask for in the caustic map, with its own count and distance."""
-    settings = context.settings
-    return DensityEstimate(
-        photons, settings.caustic_gather_count, settings.caustic_gather_distance_m,
-        math.cos(math.radians(settings.normal_angle_deg)), FILTERS[settings.gather_filter],
-    )  # fmt: skip
-
-
-def precompute_irradiance(context: Context, photons: PhotonMap) -> IrradianceRecords:
-    """Irradiance at every nth photon of the global map, n = photon_spacing (Christensen 1999)."""
-    step = context.settings.photon_spacing
-    position = np.ascontiguousarray(photons.tree.position[::step])
-    normal = np.ascontiguousarray(photons.tree.normal[::step])
-    estimate = global_estimate(context, photons)
-
-    def chunk(first: int, last: int) -> F4:
-        return estimate(position[first:last], normal[first:last])
-
-    parts = list(context.pool.map_chunks(chunk, len(position), RAYS_PER_ESTIMATE))
-    irradiance = np.concatenate(parts) if parts else np.zeros((0, 3), np.float32)
-    tree, order = grow_tree(position, normal)
-    return IrradianceRecords(tree, np.ascontiguousarray(irradiance[order]), estimate.reach_m * math.sqrt(step))
-
-
-def show_photons(context: Context, estimate: DensityEstimate, points: Points) -> F8:
-    """Radiance (points, 3) f8 that points reflect of the photons around them (direct visualisation)."""
-
-    def chunk(first: int, last: int) -> F8:
-        irradiance = estimate(points.position[first:last], points.normal[first:last])
-        return points.albedo[first:last].astype(np.float64) / math.pi * irradiance
-
-    parts = list(context.pool.map_chunks(chunk, len(points.owner), RAYS_PER_ESTIMATE))
-    return np.concatenate(parts) if parts else np.zeros((0, 3))
-
-
-def final_gather(
-    context: Context, estimate: DensityEstimate, records: IrradianceRecords | None, points: Points
-) -> tuple[F8, int]:
-    """Radiance (points, 3) f8 that points reflect of light that comes from other surfaces, and the rays traced.
-
-    Light that surfaces emit towards a point is left out: it is sampled directly, or, where it comes through
-    mirrors and glass, shown by the caustic map; without a caustic map gather rays find it.
-    """
-    count = context.settings.final_gather_rays
-    columns = context.columns(count)
+def final_gather(context: Context, light: Illumination, points: Points, count: int) -> tuple[F8, int]:
+    """Radiance (points, 3) f8 that points reflect of light from other surfaces, by `count` rays each; rays traced."""
 
     def chunk(first: int, last: int) -> tuple[F8, int]:
-        radiance = np.zeros((last - first, 3))
         rays = Rays.empty((last - first) * count)
-        gather_rays(points, first, last, count, columns, rays)
-        reached, traced = follow_to_diffuse(
-            context, rays, radiance, split=False, first_emission=False,
-            specular_emission=not context.plan.caustic_map,
-        )  # fmt: skip
-        for far in reached:
-            reflect_irradiance(far, _look_up(estimate, records, far), radiance)
+        chance = incoming(context, light, points, first, last)
+        gather_rays(points, first, last, count, context.columns(count), chance, rays)
+        incident, _, traced = incident_radiance(context, light, rays)
+        radiance = np.empty((last - first, 3))
+        reflect_mean(points, first, last, count, incident, radiance)
         return radiance, traced
 
-    chunks = list(context.pool.map_chunks(chunk, len(points.owner), count))
-    radiance = np.concatenate([part for part, _ in chunks]) if chunks else np.zeros((0, 3))
-    return radiance, sum(traced for _, traced in chunks)
+    return collect(context.pool.map_chunks(chunk, len(points.owner), count))
+
+
+def incoming(context: Context, light: Illumination, points: Points, first: int, last: int) -> F4:
+    """Chances (last - first, cells) f4 of the directions of gather rays; no rows where they are not bent."""
+    if not context.plan.importance_sampling:
+        return NOT_BENT
+    estimate, photons = light.estimate, light.estimate.photons
+    chance = np.empty((last - first, CELL_ROWS * CELL_COLUMNS), np.float32)
+    incoming_chances(
+        photons.tree, photons.wi, photons.flux, photons.history, BOUNCED if light.caustics else CAUSTIC, points, first,
+        estimate.count, estimate.reach_m, estimate.cos_limit, Scratch.empty(estimate.count), chance,
+    )  # fmt: skip
+    return chance
+
+
+def incident_radiance(context: Context, light: Illumination, rays: Rays) -> tuple[F8, F4, int]:
+    """Radiance that comes in along gather rays, (N, 3) f8, the distance it comes from (N,) f4 [m], and rays traced.
+
+    Light that surfaces emit towards the rays' origins is left out: it is sampled directly, or, where it comes through
+    mirrors and glass, shown by the caustic map; without a caustic map gather rays find it. Where a ray ends
+    nearer than the photon map can tell apart (corners, contacts), or where what the map knows may belong behind a
+    wall, the map is not asked about that place but about what lights it: a second gather of one ray, with direct light
+    sampled (LuxCore's remedy); after MOST_SHORT such stretches it is asked all the same.
+    """
+    radiance = np.zeros((len(rays.owner), 3))
+    emission = not context.plan.caustic_map
+    reached, distance, traced = follow_to_diffuse(
+        context, rays, radiance, split=False, first_emission=False, specular_emission=emission
+    )
+    for stretch in range(MOST_SHORT + 1):
+        again: list[Points] = []
+        for depth, far in enumerate(reached):
+            irradiance, unsure = light.look_up(far)
+            if stretch < MOST_SHORT:
+                near = Points.empty(len(far.owner))
+                # Past a mirror or glass the last stretch says nothing about how near the gathering point is.
+                count = take_unsure(far, unsure, 0.0 if depth else light.resolution_m, near)
+                again.append(Points(*rows(near, slice(0, count))))
+            reflect_irradiance(far, irradiance, radiance)
+        near = join(again)
+        if not len(near.owner):
+            break
+        lit, shadow = sample_lights(context, near, 0, len(near.owner), 1)
+        add_weighted(near, lit, radiance)
+        if light.caustics is not None:
+            reflect_irradiance(near, light.caustics(near.position, near.normal, near.key).irradiance, radiance)
+        onward = Rays.empty(len(near.owner))
+        count = continue_paths(near, context.sobol, stretch, onward)
+        reached, _, through = follow_to_diffuse(
+            context, Rays(*rows(onward, slice(0, count))), radiance,
+            split=False, first_emission=False, specular_emission=emission,
+        )  # fmt: skip
+        traced += shadow + through
+    return radiance, distance, traced
 
 
 def trace_paths(context: Context, points: Points) -> tuple[F8, int]:
     """Radiance (points, 3) f8 of all light that bounced, one unbiased path a point, and the rays traced.
 
-    Next-event estimation at every diffuse point; emission counts where a path found it through specular
-    surfaces, which next-event estimation cannot. Russian roulette after two bounces.
+    Next-event estimation at every diffuse point; emission counts where a path found it through specular and
+    glossy surfaces, which next-event estimation cannot. Russian roulette after two bounces.
     """
 
     def chunk(first: int, last: int) -> tuple[F8, int]:
@@ -148,10 +109,10 @@ def trace_paths(context: Context, points: Points) -> tuple[F8, int]:
         traced = 0
         for bounce in range(MAX_PATH_BOUNCES):
             rays = Rays.empty(len(here.owner))
-            going_on = continue_paths(here, bounce, rays)
+            going_on = continue_paths(here, context.sobol, bounce, rays)
             if going_on == 0:
                 break
-            reached, through = follow_to_diffuse(
+            reached, _, through = follow_to_diffuse(
                 context, Rays(*rows(rays, slice(0, going_on))), radiance, split=False,
                 first_emission=False, specular_emission=True,
             )  # fmt: skip
@@ -161,18 +122,10 @@ def trace_paths(context: Context, points: Points) -> tuple[F8, int]:
             traced += through + shadow
         return radiance, traced
 
-    chunks = list(context.pool.map_chunks(chunk, len(points.owner), 8))
-    radiance = np.concatenate([part for part, _ in chunks]) if chunks else np.zeros((0, 3))
-    return radiance, sum(traced for _, traced in chunks)
+    return collect(context.pool.map_chunks(chunk, len(points.owner), 8))
 
 
-def _look_up(estimate: DensityEstimate, records: IrradianceRecords | None, points: Points) -> F4:
-    """Irradiance where gather rays ended: the nearest record, or a density estimate where none are kept."""
-    if records is None:
-        return estimate(points.position, points.normal)
-    irradiance = np.empty((len(points.owner), 3), np.float32)
-    nearest_irradiance(
-        records.tree, records.irradiance, points.position, points.normal,
-        records.reach_m, estimate.cos_limit, Scratch.empty(1), irradiance,
-    )  # fmt: skip
-    return irradiance
+def collect(chunks: Iterable[tuple[F8, int]]) -> tuple[F8, int]:
+    """Radiance of all chunks in order, and the sum of their rays."""
+    parts = list(chunks)
+    return np.concatenate([np.zeros((0, 3)), *(part for part, _ in parts)]), sum(traced for _, traced in parts)

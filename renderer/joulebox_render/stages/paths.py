@@ -2,23 +2,38 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from joulebox_render.kernels.transport import advance
-from joulebox_render.records import F8, Points, Rays, rows
+from joulebox_render.records import F4, F8, Points, Rays, rows
 from joulebox_render.stages.context import Context
+
+# Rays of the glossy lobe that an eye ray meets first: one would show the lamp in it as noise.
+LOBE_RAYS = 8
+
+
+class Followed(NamedTuple):
+    """Where rays led: the diffuse points of each depth (entry 0: what they met directly), the length of the rays'
+    own first stretch (N,) f4 [m], and how many rays were traced.
+    """
+
+    reached: list[Points]
+    distance: F4
+    rays: int
 
 
 def follow_to_diffuse(
     context: Context, rays: Rays, radiance: F8, *, split: bool, first_emission: bool, specular_emission: bool
-) -> tuple[list[Points], int]:
-    """Trace rays through specular surfaces; returns the diffuse points of each depth and the rays traced.
+) -> Followed:
+    """Trace rays through specular and glossy surfaces.
 
     radiance (owners, 3) f8 is added to: light emitted at the rays' first hits where `first_emission`, behind
-    mirrors and glass where `specular_emission`. Entry 0 of the list holds what the rays saw directly. Paths end
-    after `max_depth` specular bounces.
+    mirrors, glass and glossy surfaces where `specular_emission`. Paths end after `max_depth` bounces.
     """
     reached: list[Points] = []
+    distance = np.zeros(0, np.float32)
     traced = 0
     depth_limit = context.settings.max_depth if context.plan.specular_recursion else 0
     for depth in range(depth_limit + 1):
@@ -27,15 +42,18 @@ def follow_to_diffuse(
             break
         hits = context.intersector.closest(rays.origin, rays.direction)
         traced += count
+        if depth == 0:
+            distance = hits.distance
         points = Points.empty(count)
-        following = Rays.empty((2 if split else 1) * count if context.plan.specular_recursion else 0)
+        branches = (LOBE_RAYS if depth == 0 and context.plan.glossy else 1) if split else 0
+        following = Rays.empty(max(1 + split, branches) * count if context.plan.specular_recursion else 0)
         emission = specular_emission if depth else first_emission
         point_count, ray_count = advance(
-            context.tables, split, emission, rays, hits, radiance, points, following
+            context.tables, branches, context.sobol, emission, rays, hits, radiance, points, following
         )
         reached.append(Points(*rows(points, slice(0, point_count))))
         rays = Rays(*rows(following, slice(0, ray_count)))
-    return reached, traced
+    return Followed(reached, distance, traced)
 
 
 def join(parts: list[Points]) -> Points:

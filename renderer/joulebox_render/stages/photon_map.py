@@ -10,9 +10,13 @@ import numpy as np
 from joulebox_render.kernels.kdtree import LEAF, build_tree
 from joulebox_render.kernels.lighting import emit_photons
 from joulebox_render.kernels.photons import scatter
-from joulebox_render.records import F4, Photons, Rays, Scratch, Tree, rows
+from joulebox_render.kernels.rng import path_key
+from joulebox_render.records import F4, I4, U1, Aim, Photons, Rays, Scratch, Tree, rows
+from joulebox_render.stages.aim import aim_at_specular, aim_everywhere
 from joulebox_render.stages.context import Context
 
+EMISSION_STREAM = 2
+EVERYWHERE, AIMED = 0, 1
 FIRST_HIT, CAUSTIC, BOUNCED = 0, 1, 2
 # A map that is not full after this many emissions for each photon it should hold stays as it is.
 EMITTED_PER_STORED = 50
@@ -22,12 +26,16 @@ EMITTED_PER_STORED = 50
 class PhotonMap:
     """Photons in a kd-tree.
 
-    tree, flux (N, 3) f4 [W] in its order, divided by `emitted`; source_order (N,) gives each photon's rank in
-    the order of storing. complete is False when emission ended before the map held what was asked for.
+    tree; flux (N, 3) f4 [W], divided by `emitted`, wi (N, 3) f4, history (N,) u1 and rank (N,) i4 in the order of
+    storing, all in the tree's order.
+    complete is False when emission ended before the map held what was asked for.
     """
 
     tree: Tree
     flux: F4
+    wi: F4
+    history: U1
+    rank: I4
     stored: int
     emitted: int
     complete: bool
@@ -83,41 +91,57 @@ class _Collector:
 
 
 def emit_and_store(context: Context) -> Emission:
-    """Shared emission for the global and the caustic map.
+    """Photons for the global and the caustic map.
 
-    Each map takes the photons of one emission sequence until it is full, so that neither depends on the other.
+    Each map takes the photons of one shared emission until it is full, so that neither depends on the other. With
+    caustic hints the caustic map has an emission of its own, aimed at what can cast caustics.
     """
     settings, plan = context.settings, context.plan
-    collectors = {}
+    everywhere = aim_everywhere(context.tables)
+    shared: list[_Collector] = []
+    of_global = of_caustic = None
+    traced = 0
     if plan.global_map:
-        collectors["global"] = _Collector(settings.global_photons, global_histories(context))
+        of_global = _Collector(settings.global_photons, global_histories(context))
+        shared.append(of_global)
     if plan.caustic_map:
-        collectors["caustic"] = _Collector(settings.caustic_photons, (CAUSTIC,))
-    emitted = traced = 0
-    lit = float(context.tables.light_power.sum()) > 0
-    while lit and (needed := max(collector.needs(emitted) for collector in collectors.values())) > 0:
-        count = needed if emitted == 0 else min(needed, 4 * emitted)
-        for photons, chunk_end, rays in _trace_round(context, emitted, count):
-            traced += rays
-            for collector in collectors.values():
-                collector.take(photons, chunk_end)
-        emitted += count
-    stored = {name: _join(collector.parts) for name, collector in collectors.items()}
+        of_caustic = _Collector(settings.caustic_photons, (CAUSTIC,))
+        if settings.caustic_hints:
+            traced += _fill(context, aim_at_specular(context.tables), AIMED, [of_caustic])
+        else:
+            shared.append(of_caustic)
+    traced += _fill(context, everywhere, EVERYWHERE, shared)
     return Emission(
-        stored.get("global"), collectors["global"].emitted if plan.global_map else 0,
-        stored.get("caustic"), collectors["caustic"].emitted if plan.caustic_map else 0,
+        _join(of_global.parts) if of_global else None, of_global.emitted if of_global else 0,
+        _join(of_caustic.parts) if of_caustic else None, of_caustic.emitted if of_caustic else 0,
         traced,
     )  # fmt: skip
+
+
+def _fill(context: Context, aim: Aim, emission: int, collectors: list[_Collector]) -> int:
+    """Emit until every collector is full or out of tries; returns the rays traced."""
+    emitted = traced = 0
+    lit = len(aim.choice) > 0 and float(aim.choice[-1]) > 0.0
+    family = np.uint64(path_key(context.settings.seed, EMISSION_STREAM, emission))
+    while lit and collectors and (needed := max(collector.needs(emitted) for collector in collectors)) > 0:
+        count = needed if emitted == 0 else min(needed, 4 * emitted)
+        for photons, chunk_end, rays in _trace_round(context, aim, family, emitted, count):
+            traced += rays
+            for collector in collectors:
+                collector.take(photons, chunk_end)
+        emitted += count
+    return traced
 
 
 def global_histories(context: Context) -> tuple[int, ...]:
     """Which photons the global map holds.
 
-    Final gathering looks the map up where gather rays end, and needs all light there. Direct visualisation shows
-    the map at first sight: light straight from the lights is sampled instead, and caustics have their own map.
+    Final gathering looks the map up where gather rays end, and needs all light there; where irradiance is
+    precomputed, light straight from the lights is sampled once at every record. Direct visualisation shows the map
+    at first sight: light straight from the lights is sampled instead, and caustics have their own map.
     """
     if context.settings.indirect == "final_gather":
-        return (FIRST_HIT, CAUSTIC, BOUNCED)
+        return (CAUSTIC, BOUNCED) if context.plan.precomputed_irradiance else (FIRST_HIT, CAUSTIC, BOUNCED)
     return (BOUNCED,) if context.plan.caustic_map else (CAUSTIC, BOUNCED)
 
 
@@ -125,7 +149,8 @@ def build_photon_map(photons: Photons, emitted: int, wanted: int) -> PhotonMap:
     """Put photons into a kd-tree and scale their flux by the number emitted."""
     tree, order = grow_tree(photons.position, photons.normal)
     flux = np.ascontiguousarray(photons.flux[order] / np.float32(max(1, emitted)))
-    return PhotonMap(tree, flux, len(photons.number), emitted, len(photons.number) >= wanted)
+    wi, history = np.ascontiguousarray(photons.wi[order]), np.ascontiguousarray(photons.history[order])
+    return PhotonMap(tree, flux, wi, history, order, len(photons.number), emitted, len(photons.number) >= wanted)
 
 
 def grow_tree(position: F4, normal: F4) -> tuple[Tree, np.ndarray]:
@@ -143,24 +168,25 @@ def grow_tree(position: F4, normal: F4) -> tuple[Tree, np.ndarray]:
     return Tree(np.ascontiguousarray(position[order]), np.ascontiguousarray(normal[order]), axis, plane), order
 
 
-def _trace_round(context: Context, first_number: int, count: int) -> Iterator[tuple[Photons, int, int]]:
+def _trace_round(
+    context: Context, aim: Aim, family: np.uint64, first_number: int, count: int
+) -> Iterator[tuple[Photons, int, int]]:
     """Emit `count` photons from number `first_number` on: (photons, emitted up to the chunk's end, rays) a chunk."""
 
     def chunk(first: int, last: int) -> tuple[Photons, int, int]:
-        photons, rays = _trace_photons(context, first_number + first, last - first)
+        photons, rays = _trace_photons(context, aim, family, first_number + first, last - first)
         return photons, first_number + last, rays
 
     return context.pool.map_chunks(chunk, count, 2)
 
 
-def _trace_photons(context: Context, first_number: int, count: int) -> tuple[Photons, int]:
+def _trace_photons(
+    context: Context, aim: Aim, family: np.uint64, first_number: int, count: int
+) -> tuple[Photons, int]:
     """Follow photons number first_number ... until they are absorbed or gone; stored ones in order of emission."""
     settings = context.settings
     rays = Rays.empty(count)
-    emit_photons(
-        context.tables, settings.seed, first_number, rays.origin, rays.direction, rays.weight, rays.key
-    )
-    rays.owner[:] = np.arange(first_number, first_number + count)
+    emit_photons(context.tables, aim, context.sobol, family, first_number, rays)
     history = np.zeros(count, np.uint8)
     parts: list[Photons] = []
     traced = 0
@@ -173,7 +199,7 @@ def _trace_photons(context: Context, first_number: int, count: int) -> tuple[Pho
         stored, following = Photons.empty(count), Rays.empty(count)
         following_history = np.empty(count, np.uint8)
         stored_count, ray_count = scatter(
-            context.tables, settings.store_at_every_bounce, rays, history, hits,
+            context.tables, settings.store_at_every_bounce, context.sobol, rays, history, hits,
             stored, following, following_history,
         )  # fmt: skip
         parts.append(Photons(*rows(stored, slice(0, stored_count))))

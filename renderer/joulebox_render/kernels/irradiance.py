@@ -1,0 +1,208 @@
+"""The irradiance cache: what a final gather tells about its neighbourhood, and how others use it.
+
+Sources: Ward, Rubinstein & Clear 1988 (reuse by harmonic mean distance); Ward & Heckbert 1992 (gradients);
+Krivanek et al. 2006 (neighbour clamping); Tabellion & Lamorlette 2004 (weights that fall to zero).
+"""
+
+import math
+
+import numpy as np
+
+from joulebox_render.kernels.compilation import device, kernel
+from joulebox_render.kernels.vector import row3, set_row3, tangent_frame
+
+# A record is not used for points this far behind its tangent plane, relative to its radius.
+BEHIND = 0.05
+# sin^2 of the polar angle, 80 degrees, from which on a surface is seen edge-on.
+EDGE_ON = 0.97
+_P1, _P2, _P3 = np.uint64(73856093), np.uint64(19349663), np.uint64(83492791)
+
+
+@device
+def bucket_of(cx, cy, cz, mask):
+    """Bucket of an integer cell."""
+    return np.int64((np.uint64(cx) * _P1 ^ np.uint64(cy) * _P2 ^ np.uint64(cz) * _P3) & np.uint64(mask))
+
+
+@kernel
+def summarize_gather(points, first, polar, azimuth, tolerance, incident, distance, near, far, cache, row):
+    """Make records of final gathers over stratified cosine grids; returns nothing.
+
+    points    Points; their rows from `first` on become cache rows from `row` on, one for each gather in incident
+    incident  (gathers * azimuth * polar, 3) f8 radiance, polar strata fastest; distance (...,) f4 [m] to what was hit
+    near, far (gathers,) f4 least and largest radius that a record may have [m]
+    cache     CacheRecords, rows overwritten
+
+    radius is the harmonic mean distance, but with the tolerance it reaches no farther than the nearest surface that is
+    not seen edge-on, so that no record shines through a wall (as in Mitsuba 0.6), and no farther than lets the
+    translational gradient change the irradiance by as much as itself (Krivanek 2006); within [near, far]. Where
+    `near` wins, the gradient is scaled down alike.
+    Gradients are Ward & Heckbert's, with exact integrals over a stratum's side: in column c of a record's nine
+    numbers 3 c ... 3 c + 2 stands the world vector of channel c.
+    """
+    count = polar * azimuth
+    for gather in range(near.shape[0]):
+        point, out = first + gather, row + gather
+        nx, ny, nz = row3(points.normal, point)
+        sx, sy, sz, tx, ty, tz = tangent_frame(nx, ny, nz)
+        inverse, closest = 0.0, 1e30
+        for i in range(count):
+            length = max(1e-12, distance[gather * count + i])
+            inverse += 1.0 / length
+            if (i % polar + 0.5) / polar < EDGE_ON and length < closest:
+                closest = length
+        radius = min(count / inverse, closest / tolerance)
+        steepest = 0.0
+        for c in range(3):
+            total, across_x, across_y, turn_x, turn_y = 0.0, 0.0, 0.0, 0.0, 0.0
+            for k in range(azimuth):
+                before = (k + azimuth - 1) % azimuth
+                phi = 2.0 * math.pi * (k + 0.5) / azimuth
+                phi_edge = 2.0 * math.pi * k / azimuth
+                outward, sideways, turning = 0.0, 0.0, 0.0
+                for j in range(polar):
+                    i = gather * count + k * polar + j
+                    light = incident[i, c]
+                    total += light
+                    sin2 = (j + 0.5) / polar
+                    turning += light * math.sqrt(sin2 / (1.0 - sin2))
+                    if j > 0:
+                        sin2_edge = j / polar
+                        closer = min(distance[i], distance[i - 1])
+                        outward += math.sqrt(sin2_edge) * (1.0 - sin2_edge) / closer * (light - incident[i - 1, c])
+                    i_before = gather * count + before * polar + j
+                    closer = min(distance[i], distance[i_before])
+                    side = math.sqrt((j + 1) / polar) - math.sqrt(j / polar)
+                    sideways += side / closer * (light - incident[i_before, c])
+                outward *= 2.0 * math.pi / azimuth
+                cos_phi, sin_phi = math.cos(phi), math.sin(phi)
+                cos_edge, sin_edge = math.cos(phi_edge), math.sin(phi_edge)
+                across_x += cos_phi * outward - sin_edge * sideways
+                across_y += sin_phi * outward + cos_edge * sideways
+                turn_x -= sin_phi * turning
+                turn_y += cos_phi * turning
+            irradiance = math.pi * total / count
+            turn_x, turn_y = turn_x * math.pi / count, turn_y * math.pi / count
+            cache.irradiance[out, c] = irradiance
+            slope = math.sqrt(across_x * across_x + across_y * across_y)
+            if slope > steepest * max(1e-30, irradiance):
+                steepest = slope / max(1e-30, irradiance)
+            cache.translation[out, 3 * c] = across_x * sx + across_y * tx
+            cache.translation[out, 3 * c + 1] = across_x * sy + across_y * ty
+            cache.translation[out, 3 * c + 2] = across_x * sz + across_y * tz
+            cache.rotation[out, 3 * c] = turn_x * sx + turn_y * tx
+            cache.rotation[out, 3 * c + 1] = turn_x * sy + turn_y * ty
+            cache.rotation[out, 3 * c + 2] = turn_x * sz + turn_y * tz
+        if steepest * radius > 1.0:
+            radius = 1.0 / steepest
+        limited = max(near[gather], min(far[gather], radius))
+        if limited > radius:
+            for e in range(9):
+                cache.translation[out, e] *= radius / limited
+        cache.radius[out] = limited
+        px, py, pz = row3(points.position, point)
+        set_row3(cache.position, out, px, py, pz)
+        set_row3(cache.normal, out, nx, ny, nz)
+
+
+@kernel
+def list_cells(cache, reach, cell, first, member, fill):
+    """Count (fill = 0) or list (fill = 1) the records whose sphere of influence may meet each bucket's cells.
+
+    reach is the share of a record's radius that it reaches. first (buckets + 1,) i8: counts are added to
+    first[bucket + 1]; listing advances first[bucket] and writes member (M,) i4.
+    """
+    mask = first.shape[0] - 2
+    for i in range(cache.radius.shape[0]):
+        r = reach * cache.radius[i]
+        x, y, z = row3(cache.position, i)
+        for cx in range(math.floor((x - r) / cell), math.floor((x + r) / cell) + 1):
+            for cy in range(math.floor((y - r) / cell), math.floor((y + r) / cell) + 1):
+                for cz in range(math.floor((z - r) / cell), math.floor((z + r) / cell) + 1):
+                    bucket = bucket_of(cx, cy, cz, mask)
+                    if fill:
+                        member[first[bucket]] = i
+                        first[bucket] += 1
+                    else:
+                        first[bucket + 1] += 1
+
+
+@device
+def bucket_at(grid, x, y, z):
+    """Bucket of the cell that a point lies in."""
+    cell = grid.cell[0]
+    return bucket_of(
+        np.int64(math.floor(x / cell)), np.int64(math.floor(y / cell)), np.int64(math.floor(z / cell)),
+        grid.first.shape[0] - 2,
+    )  # fmt: skip
+
+
+@kernel
+def clamp_neighbours(cache, grid, reach):
+    """Make no record's radius exceed a neighbour's plus the distance between them; returns how many shrank."""
+    shrunk = 0
+    for j in range(cache.radius.shape[0]):
+        x, y, z = row3(cache.position, j)
+        bucket = bucket_at(grid, x, y, z)
+        for m in range(grid.first[bucket], grid.first[bucket + 1]):
+            i = grid.member[m]
+            dx, dy, dz = cache.position[i, 0] - x, cache.position[i, 1] - y, cache.position[i, 2] - z
+            distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+            if distance < reach * cache.radius[i] and cache.radius[j] + distance < cache.radius[i]:
+                cache.radius[i] = cache.radius[j] + distance
+                shrunk += 1
+    return shrunk
+
+
+@kernel
+def interpolate_irradiance(cache, grid, tolerance, gradients, points, irradiance, radius):
+    """Irradiance (N, 3) f4 at points from the records that are good enough there, and their mean radius (N,) f4 [m].
+
+    radius is 0 where no record is good enough. w_i = 1 / (|x - x_i| / R_i + sqrt(1 - n . n_i)) - 1 / tolerance, where
+    that is positive; records' order in the grid is fixed, so sums do not depend on how the points were cut into chunks.
+    """
+    least = 1.0 / tolerance
+    for q in range(points.owner.shape[0]):
+        x, y, z = row3(points.position, q)
+        nx, ny, nz = row3(points.normal, q)
+        red, green, blue, weight_sum, radius_sum = 0.0, 0.0, 0.0, 0.0, 0.0
+        bucket = bucket_at(grid, x, y, z)
+        for m in range(grid.first[bucket], grid.first[bucket + 1]):
+            i = grid.member[m]
+            # Two of a record's cells may have one bucket; the two entries then follow each other.
+            if m > grid.first[bucket] and grid.member[m - 1] == i:
+                continue
+            dx, dy, dz = x - cache.position[i, 0], y - cache.position[i, 1], z - cache.position[i, 2]
+            d2 = dx * dx + dy * dy + dz * dz
+            r = cache.radius[i]
+            if d2 >= (tolerance * r) ** 2:
+                continue
+            mx, my, mz = row3(cache.normal, i)
+            cosine = nx * mx + ny * my + nz * mz
+            error = math.sqrt(d2) / r + math.sqrt(max(0.0, 1.0 - cosine))
+            if error >= tolerance:
+                continue
+            if dx * (nx + mx) + dy * (ny + my) + dz * (nz + mz) < -2.0 * BEHIND * r:
+                continue
+            weight = 1.0 / max(error, 1e-6) - least
+            er, eg, eb = row3(cache.irradiance, i)
+            if gradients:
+                # n_i x n: the axis about which the normal turned, as long as the sine of the angle.
+                ax, ay, az = my * nz - mz * ny, mz * nx - mx * nz, mx * ny - my * nx
+                er += change(cache.translation, i, 0, dx, dy, dz) + change(cache.rotation, i, 0, ax, ay, az)
+                eg += change(cache.translation, i, 1, dx, dy, dz) + change(cache.rotation, i, 1, ax, ay, az)
+                eb += change(cache.translation, i, 2, dx, dy, dz) + change(cache.rotation, i, 2, ax, ay, az)
+            red += weight * max(0.0, er)
+            green += weight * max(0.0, eg)
+            blue += weight * max(0.0, eb)
+            weight_sum += weight
+            radius_sum += weight * r
+        scale = 1.0 / weight_sum if weight_sum > 0.0 else 0.0
+        radius[q] = radius_sum * scale
+        set_row3(irradiance, q, red * scale, green * scale, blue * scale)
+
+
+@device
+def change(gradient, i, channel, x, y, z):
+    """A channel's gradient times a vector."""
+    return gradient[i, 3 * channel] * x + gradient[i, 3 * channel + 1] * y + gradient[i, 3 * channel + 2] * z

@@ -1,0 +1,186 @@
+"""The irradiance cache: final gathers at few points, reused by interpolation at all others.
+
+An overture looks at the picture at 1/16, 1/8, 1/4 and 1/2 of its resolution; wherever the records so far do not
+reach, it gathers. All points of one resolution are judged by the records of the coarser ones, so neither the order of
+pixels nor the number of threads shows in the picture.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from joulebox_render.kernels.irradiance import (
+    clamp_neighbours,
+    interpolate_irradiance,
+    list_cells,
+    summarize_gather,
+)
+from joulebox_render.kernels.transport import gather_rays
+from joulebox_render.records import F4, F8, I4, I8, U1, Camera, Points, Rays, rows
+from joulebox_render.stages.context import Context
+from joulebox_render.stages.eye import camera_frame, look
+from joulebox_render.stages.gather import NOT_BENT, final_gather, incident_radiance
+from joulebox_render.stages.paths import join
+from joulebox_render.stages.precomputed import Illumination
+
+# Pixels between the overture's eye rays, coarse to fine.
+STEPS = (16, 8, 4, 2)
+# A record reaches at least and at most this many pixels.
+LEAST_PIXELS, MOST_PIXELS = 0.7, 20.0
+# Records are placed at this share of the tolerance that they are used with, so that several blend at every point.
+PLACING = 0.6
+# A point must have this much of its records' radius free above it. Records that saw what is above reach no farther
+# than it is away, so that theirs is.
+HEADROOM = 0.25
+# Rays of a gather where no record reaches.
+LEAST_RAYS = 16
+# A point costs about as much as this many rays.
+RAYS_PER_LOOKUP = 3
+
+
+class CacheRecords(NamedTuple):
+    """Final gathers: position, normal, irradiance (R, 3) f4, radius (R,) f4 [m] that errors are relative to, and
+    the gradients of irradiance, rotation and translation (R, 9) f4, three numbers a channel.
+    """
+
+    position: F4
+    normal: F4
+    irradiance: F4
+    radius: F4
+    rotation: F4
+    translation: F4
+
+    @classmethod
+    def empty(cls, count: int) -> CacheRecords:
+        """Room for `count` records."""
+        return cls(*(np.zeros((count, *shape), np.float32) for shape in ((3,), (3,), (3,), (), (9,), (9,))))
+
+
+class CacheGrid(NamedTuple):
+    """Which records may reach a place: bucket b of a hash of cells lists member[first[b]:first[b + 1]].
+
+    cell (1,) f8 side of a cell [m]; first (buckets + 1,) i8, buckets a power of two; member (M,) i4.
+    """
+
+    cell: F8
+    first: I8
+    member: I4
+
+
+class IrradianceCache(NamedTuple):
+    """Records and the grid that finds them."""
+
+    records: CacheRecords
+    grid: CacheGrid
+
+
+def fill_cache(context: Context, camera: Camera, light: Illumination) -> tuple[IrradianceCache, int]:
+    """The overture: records for all that the camera sees, and the rays traced."""
+    settings = context.settings
+    assert settings.width and settings.height
+    records, traced = CacheRecords.empty(0), 0
+    cache = index_records(records, settings.irradiance_cache_tolerance)
+    for level, step in enumerate(STEPS):
+        width, height = -(-settings.width // step), -(-settings.height // step)
+        sight = look(context, camera, 0, width * height, size=(width, height), overture=level + 1)
+        points = join([sight.direct, sight.through_specular])
+        traced += sight.rays
+        _, found = interpolate(context, cache, points, PLACING)
+        missing = Points(*rows(points, found == 0))
+        added, rays = gather_records(context, camera, light, missing)
+        traced += rays
+        records = CacheRecords(*(np.concatenate(pair) for pair in zip(records, added, strict=True)))
+        cache = index_records(records, settings.irradiance_cache_tolerance)
+    return cache, traced
+
+
+def gather_records(
+    context: Context, camera: Camera, light: Illumination, points: Points
+) -> tuple[CacheRecords, int]:
+    """Final gathers at points made records, and the rays traced."""
+    settings = context.settings
+    assert settings.width and settings.height
+    polar = max(1, round(math.sqrt(settings.final_gather_rays / math.pi)))
+    azimuth = max(3, settings.final_gather_rays // polar)
+    count = polar * azimuth
+    frame = camera_frame(camera, settings.width, settings.height)
+    pixel = 2.0 * float(np.linalg.norm(frame[1])) / settings.width
+    footprint = pixel * np.linalg.norm(points.position - frame[0], axis=1) / settings.irradiance_cache_tolerance
+    near, far = (np.asarray(pixels * footprint, np.float32) for pixels in (LEAST_PIXELS, MOST_PIXELS))
+
+    def chunk(first: int, last: int) -> tuple[CacheRecords, int]:
+        rays = Rays.empty((last - first) * count)
+        gather_rays(points, first, last, count, polar, NOT_BENT, rays)
+        incident, distance, traced = incident_radiance(context, light, rays)
+        part = CacheRecords.empty(last - first)
+        summarize_gather(
+            points, first, polar, azimuth, settings.irradiance_cache_tolerance, incident, distance,
+            near[first:last], far[first:last], part, 0,
+        )  # fmt: skip
+        return part, traced
+
+    parts = list(context.pool.map_chunks(chunk, len(points.owner), count))
+    columns = zip(CacheRecords.empty(0), *(part for part, _ in parts), strict=True)
+    return CacheRecords(*(np.concatenate(column) for column in columns)), sum(traced for _, traced in parts)
+
+
+def index_records(records: CacheRecords, tolerance: float) -> IrradianceCache:
+    """Clamp neighbours' radii to each other (which writes to `records`) and list which reach where."""
+    grid = _list_records(records, tolerance)
+    for _ in range(2):
+        if not clamp_neighbours(records, grid, tolerance):
+            break
+    return IrradianceCache(records, _list_records(records, tolerance))
+
+
+def _list_records(records: CacheRecords, tolerance: float) -> CacheGrid:
+    count = len(records.radius)
+    cell = np.array([2.0 * tolerance * float(np.median(records.radius)) if count else 1.0])
+    buckets = 1 << max(6, (8 * count).bit_length())
+    first, member = np.zeros(buckets + 1, np.int64), np.zeros(0, np.int32)
+    list_cells(records, tolerance, cell[0], first, member, 0)
+    first = np.cumsum(first)
+    member = np.zeros(first[-1], np.int32)
+    list_cells(records, tolerance, cell[0], first, member, 1)
+    # Listing has moved each bucket's start to its end, which is where the next one starts.
+    return CacheGrid(cell, np.concatenate([[0], first[:-1]]), member)
+
+
+def interpolate(context: Context, cache: IrradianceCache, points: Points, share: float = 1.0) -> tuple[F4, U1]:
+    """Irradiance (N, 3) f4 at points, and found (N,) u1: 0 where no record is good enough.
+
+    `share` of the tolerance is what counts as good enough. Records of open places do not speak for a point close under
+    something they hardly saw, as in a gap: one ray along the normal tells.
+    """
+    settings = context.settings
+    irradiance, found = np.empty((len(points.owner), 3), np.float32), np.empty(len(points.owner), np.uint8)
+
+    def chunk(first: int, last: int) -> None:
+        radius = np.empty(last - first, np.float32)
+        interpolate_irradiance(
+            cache.records, cache.grid, share * settings.irradiance_cache_tolerance, settings.irradiance_gradients,
+            Points(*rows(points, slice(first, last))), irradiance[first:last], radius,
+        )  # fmt: skip
+        under = context.intersector.occluded(points.position[first:last], points.normal[first:last], HEADROOM * radius)
+        found[first:last] = (radius > 0) & (under == 0)
+
+    for _ in context.pool.map_chunks(chunk, len(points.owner), RAYS_PER_LOOKUP):
+        pass
+    return irradiance, found
+
+
+def cached_gather(
+    context: Context, cache: IrradianceCache, light: Illumination, points: Points
+) -> tuple[F8, int]:
+    """Radiance (points, 3) f8 that points reflect of indirect light, and the rays traced where no record reached."""
+    irradiance, found = interpolate(context, cache, points)
+    radiance = points.albedo * irradiance / math.pi
+    missing = np.flatnonzero(found == 0)
+    # The samples of a pixel share the noise of its own gathers as records share theirs with many pixels.
+    count = max(LEAST_RAYS, context.settings.final_gather_rays // context.settings.samples_per_pixel)
+    gathered, traced = final_gather(context, light, Points(*rows(points, missing)), count)
+    radiance[missing] = gathered
+    return radiance.astype(np.float64), traced

@@ -1,0 +1,228 @@
+"""Irradiance computed ahead at some photons' places (Christensen 1999), and what gather rays ask where they end.
+
+Light straight from the lights is sampled at each record; what bounced is estimated from photons. A table over cells of
+place and normal answers nearly all look-ups, and knows where its answer is not to be trusted.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from joulebox_render.kernels.lookup import (
+    CELLS_A_SIDE,
+    FEELERS,
+    LATTICE,
+    NO_CELL,
+    aim_feelers,
+    look_up_irradiance,
+    mark_cells,
+    nearest_records,
+)
+from joulebox_render.kernels.rng import path_key
+from joulebox_render.records import F4, F8, U1, U8, Estimates, Points, Scratch, Tree
+from joulebox_render.stages.context import Context
+from joulebox_render.stages.density import (
+    RAYS_PER_ESTIMATE,
+    DensityEstimate,
+    global_estimate,
+    probe_keys,
+    share_in_sight,
+)
+from joulebox_render.stages.direct import sample_lights
+from joulebox_render.stages.photon_map import PhotonMap, grow_tree
+
+RAYS_PER_LOOK_UP = 2
+# Direct light is sampled where irradiance is precomputed: exact at shadows' edges and corners, and without noise, where
+# photons straight from the lights would blur it. So few rays do, as each gather averages over many records.
+RECORD_SHADOW_RAYS = 4
+RECORD_STREAM = 3
+# Cells by which a table reaches beyond the records on every side, and to which it is filled around each at most.
+MARGIN = 16
+# How far above the surface feelers run, in cells: a wall's foot is felt, a curve of the surface is not.
+FEELER_LIFT = 0.05
+
+
+class IrradianceTable(NamedTuple):
+    """Irradiance in cells of place and normal, a hash table.
+
+    low (3,) f8, the cells' common corner [m]; cells_per_m, of a side; key (S,) u8, S a power of two, at most half of
+    them cells (kernels.lookup.cell_key), the others NO_CELL; irradiance (S, 3) f4 [W m^-2]; unsure (S,) u1, 1 where
+    something stands within a cell's length or between it and its record (a thin wall, a corner, a contact), the record
+    is doubtful, or there is none in reach. Whether to trust must not hang on how many photons an estimate found:
+    believing the lucky ones alone would make faint places too bright.
+    """
+
+    low: F8
+    cells_per_m: float
+    key: U8
+    irradiance: F4
+    unsure: U1
+
+
+class IrradianceRecords(NamedTuple):
+    """Irradiance computed ahead at some photons' positions: tree, irradiance (R, 3) f4 in its order [W m^-2].
+
+    doubtful (R,) u1 marks those with photons behind a wall. reach_m is how far a look-up may go: records of every nth
+    photon lie sqrt(n) times as far apart as photons. table answers nearly all look-ups.
+    """
+
+    tree: Tree
+    irradiance: F4
+    doubtful: U1
+    reach_m: float
+    table: IrradianceTable
+
+
+@dataclass(frozen=True)
+class Illumination:
+    """What a gather ray asks where it ends.
+
+    resolution_m is the distance below which the photon map cannot tell places apart [m].
+    """
+
+    estimate: DensityEstimate
+    records: IrradianceRecords | None
+    caustics: DensityEstimate | None
+
+    @property
+    def resolution_m(self) -> float:
+        return self.estimate.reach_m
+
+    def look_up(self, points: Points) -> tuple[F4, U1]:
+        """Irradiance (N, 3) f4 that the records know, or a density estimate where none are kept; and where it cannot
+        be relied on, unsure (N,) u1.
+        """
+        count = len(points.owner)
+        if self.records is None:
+            estimates = self.estimate(points.position, points.normal, probe_keys(points))
+            return estimates.irradiance, np.zeros(count, np.uint8)
+        irradiance, unsure = np.empty((count, 3), np.float32), np.empty(count, np.uint8)
+        look_up_irradiance(
+            self.records.table, self.records.tree, self.records.irradiance, self.records.doubtful,
+            points.position, points.normal, self.records.reach_m, self.estimate.cos_limit, Scratch.empty(1),
+            irradiance, unsure,
+        )  # fmt: skip
+        return irradiance, unsure
+
+
+def precompute_irradiance(context: Context, photons: PhotonMap) -> IrradianceRecords:
+    """Irradiance at every nth photon of the global map, n = photon_spacing (Christensen 1999)."""
+    step = context.settings.photon_spacing
+    # By the order of storing: which photons lie first in the tree hangs on roundings of their places.
+    chosen = photons.rank % step == 0
+    position = np.ascontiguousarray(photons.tree.position[chosen])
+    normal = np.ascontiguousarray(photons.tree.normal[chosen])
+    estimate = other_photons(context, photons, chosen)
+    doubtful = np.empty(len(position), np.uint8)
+
+    def chunk(first: int, last: int) -> Estimates:
+        here, facing = position[first:last], normal[first:last]
+        estimates = estimate(here, facing, np.arange(first, last, dtype=np.uint64))
+        doubtful[first:last] = (
+            share_in_sight(context, estimate.photons, here, facing, estimates.witness) < 1
+        )
+        return estimates._replace(irradiance=estimates.irradiance + direct_irradiance(context, first, here, facing))
+
+    parts = list(context.pool.map_chunks(chunk, len(position), RAYS_PER_ESTIMATE))
+    estimates = Estimates(*map(np.concatenate, zip(*parts, strict=True))) if parts else Estimates.empty(0)
+    tree, order = grow_tree(position, normal)
+    records = IrradianceRecords(
+        tree, np.ascontiguousarray(estimates.irradiance[order]), np.ascontiguousarray(doubtful[order]),
+        estimate.reach_m * math.sqrt(step), empty_table(),
+    )  # fmt: skip
+    if not len(position):
+        return records
+    radius, count = float(np.median(estimates.radius)), max(1.0, float(np.median(estimates.found)))
+    spacing = radius * math.sqrt(math.pi * max(1, step - 1) / count)
+    lift = float(context.tables.epsilon[0])
+    # Estimates hardly change over half the radius of their discs.
+    table = tabulate(context, records, estimate.cos_limit, 0.5 * radius, 1.5 * spacing, lift)
+    return records._replace(table=table)
+
+
+def other_photons(context: Context, photons: PhotonMap, chosen: npt.NDArray[np.bool_]) -> DensityEstimate:
+    """The estimate in the global map without the photons `chosen` for records, whose share the others carry.
+
+    A look-up takes the nearest record, so around the place that asks there is none nearer: the records' own photons
+    are missing there, and one lies in the middle of the estimate. Of the others nothing is known. Where all photons
+    are records the two errors cancel, as long as the disc holds what is empty.
+    """
+    estimate = global_estimate(context, photons)
+    step = context.settings.photon_spacing
+    if step == 1:
+        return estimate
+    others = ~chosen
+    tree, order = grow_tree(photons.tree.position[others], photons.tree.normal[others])
+    flux = photons.flux[others][order] * np.float32(step / (step - 1))
+    wi, history, rank = (
+        np.ascontiguousarray(column[others][order]) for column in (photons.wi, photons.history, photons.rank)
+    )
+    rest = replace(photons, tree=tree, flux=flux, wi=wi, history=history, rank=rank, stored=len(flux))
+    return replace(estimate, photons=rest, count=max(2, round(estimate.count * (step - 1) / step)))
+
+
+def direct_irradiance(context: Context, first: int, position: F4, normal: F4) -> F4:
+    """Irradiance (N, 3) f4 straight from the lights at records `first` ..., by RECORD_SHADOW_RAYS to each [W m^-2]."""
+    count = len(position)
+    points = Points.empty(count)
+    points.position[:] = position + context.tables.epsilon[0] * normal
+    points.normal[:] = points.geometric[:] = normal
+    points.albedo[:] = math.pi
+    points.key[:] = path_key(context.settings.seed, RECORD_STREAM, 0)
+    points.sample[:] = np.arange(first, first + count)
+    irradiance, _ = sample_lights(context, points, 0, count, RECORD_SHADOW_RAYS)
+    return irradiance.astype(np.float32)
+
+
+def empty_table() -> IrradianceTable:
+    """A table without cells, which leaves every look-up to the records."""
+    return IrradianceTable(np.zeros(3), 1.0, np.full(1, NO_CELL), np.zeros((1, 3), np.float32), np.zeros(1, np.uint8))
+
+
+def tabulate(
+    context: Context, records: IrradianceRecords, cos_limit: float, edge_m: float, fill_m: float, lift_m: float
+) -> IrradianceTable:
+    """The look-up of the nearest record, done ahead for cells of side `edge_m` up to about `fill_m` around records.
+
+    Filling to 1.5 times the records' spacing leaves few gaps. `lift_m` is how far above the surface points lie that
+    will be looked up. A scene too large for the cells' numbers, half a million a side, gets a table without cells.
+    """
+    tree, irradiance = records.tree, records.irradiance
+    low, high = tree.position.min(axis=0).astype(np.float64), tree.position.max(axis=0)
+    if edge_m <= 0 or (high - low).max() > edge_m * (CELLS_A_SIDE - 2 * MARGIN):
+        return empty_table()
+    steps = min(MARGIN, math.ceil(fill_m / (LATTICE * edge_m)))
+    # No multiple of an edge, so that walls that bound the scene do not lie between cells.
+    corner = low - (MARGIN - 0.382) * edge_m
+    size = 1 << math.ceil(math.log2(2 + 1.5 * len(irradiance) * min(1.0, fill_m / edge_m) ** 2))
+    cells = -1
+    while cells < 0:
+        size *= 2
+        table = IrradianceTable(corner, 1 / edge_m, np.full(size, NO_CELL), np.empty((size, 3), np.float32),
+            np.empty(size, np.uint8))
+        place, facing = np.empty((2, size // 2, 3), np.float32)
+        slots = np.empty(size // 2, np.int64)
+        cells = mark_cells(table, tree.position, tree.normal, lift_m, steps, place, facing, slots)
+
+    def chunk(first: int, last: int) -> None:
+        row = np.empty(last - first, np.int32)
+        nearest_records(
+            tree, place[first:last], facing[first:last], records.reach_m, cos_limit, Scratch.empty(1), row
+        )
+        table.irradiance[slots[first:last]] = np.where(row[:, None] >= 0, irradiance[row], 0.0)
+        origin, direction = np.empty((2, FEELERS * len(row), 3), np.float32)
+        limit = np.empty(FEELERS * len(row), np.float32)
+        aim_feelers(
+            tree, row, place[first:last], facing[first:last], max(lift_m, FEELER_LIFT * edge_m), edge_m,
+            origin, direction, limit,
+        )  # fmt: skip
+        blocked = context.intersector.occluded(origin, direction, limit).reshape(-1, FEELERS)
+        table.unsure[slots[first:last]] = blocked.any(axis=1) | (row < 0) | records.doubtful[row].view(np.bool_)
+
+    list(context.pool.map_chunks(chunk, cells, RAYS_PER_LOOK_UP + FEELERS))
+    return table
