@@ -253,7 +253,7 @@ def gather_rays(points, first, last, count, columns, chance, rays):
             if dx * gx + dy * gy + dz * gz <= 0.0:
                 weight = 0.0
             push_ray(
-                rays, row, px, py, pz, dx, dy, dz, weight, weight, weight, row, key, sample * count + i
+                rays, row, px, py, pz, dx, dy, dz, weight, weight, weight, row, child_key(key, 0), sample * count + i
             )  # fmt: skip
             row += 1
 

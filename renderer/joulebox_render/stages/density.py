@@ -18,8 +18,8 @@ FILTERS = {"constant": 0, "cone": 1, "epanechnikov": 2}
 RAYS_PER_ESTIMATE = 16
 # How far above the surface sight lines between points and photons bulge, as a share of their length.
 SIGHT_LIFT = 0.1
-# Every how many-th of an estimate's witnesses a caustic looks at: there are many points to ask for.
-CAUSTIC_WITNESS_STEP = 4
+# Every how many-th of an estimate's witnesses is looked at where there are many points to ask for.
+FEW_WITNESSES_STEP = 4
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class DensityEstimate:
         )  # fmt: skip
         if self.context is not None and self.in_sight:
             some = np.flatnonzero(estimates.found)
-            few = np.ascontiguousarray(estimates.witness[some, ::CAUSTIC_WITNESS_STEP])
+            few = np.ascontiguousarray(estimates.witness[some, ::FEW_WITNESSES_STEP])
             share = share_in_sight(self.context, self.photons, position[some], normal[some], few)
             estimates.irradiance[some] *= share[:, None]
         elif self.context is not None:
@@ -55,12 +55,14 @@ class DensityEstimate:
         return estimates
 
 
-def share_in_sight(context: Context, photons: PhotonMap, position: F4, normal: F4, witness: I4) -> F4:
+def share_in_sight(context: Context | None, photons: PhotonMap, position: F4, normal: F4, witness: I4) -> F4:
     """Share (N,) f4 of the photons named in witness (N, W) i4 that nothing hides from points.
 
     Sight lines run a tenth of their length above the surface, clear of what it curves: what hides photons is a wall
     thinner than the disc.
     """
+    if context is None:
+        return np.ones(len(position), np.float32)
     count = witness.shape[1]
     room = len(position) * count
     origin, direction = np.empty((2, room, 3), np.float32)

@@ -35,6 +35,8 @@ PLACING = 0.6
 # A point must have this much of its records' radius free above it. Records that saw what is above reach no farther
 # than it is away, so that theirs is.
 HEADROOM = 0.25
+# Entries of the grid for each record, in the mean.
+MOST_ENTRIES = 64
 # Rays of a gather where no record reaches.
 LEAST_RAYS = 16
 # A point costs about as much as this many rays.
@@ -138,7 +140,7 @@ def index_records(records: CacheRecords, tolerance: float) -> IrradianceCache:
 
 def _list_records(records: CacheRecords, tolerance: float) -> CacheGrid:
     count = len(records.radius)
-    cell = np.array([2.0 * tolerance * float(np.median(records.radius)) if count else 1.0])
+    cell = np.array([_cell_side(tolerance * records.radius.astype(np.float64)) if count else 1.0])
     buckets = 1 << max(6, (8 * count).bit_length())
     first, member = np.zeros(buckets + 1, np.int64), np.zeros(0, np.int32)
     list_cells(records, tolerance, cell[0], first, member, 0)
@@ -147,6 +149,16 @@ def _list_records(records: CacheRecords, tolerance: float) -> CacheGrid:
     list_cells(records, tolerance, cell[0], first, member, 1)
     # Listing has moved each bucket's start to its end, which is where the next one starts.
     return CacheGrid(cell, np.concatenate([[0], first[:-1]]), member)
+
+
+def _cell_side(reach: F8) -> float:
+    """Side of a cell [m] for records that reach so far (R,) [m]: two median reaches, or more where few reach so much
+    farther (a horizon) that they would fill space with entries.
+    """
+    side = 2.0 * float(np.median(reach))
+    while float(((2.0 * reach / side + 1.0) ** 3).sum()) > MOST_ENTRIES * len(reach):
+        side *= 2.0
+    return side
 
 
 def interpolate(context: Context, cache: IrradianceCache, points: Points, share: float = 1.0) -> tuple[F4, U1]:

@@ -24,9 +24,10 @@ from joulebox_render.kernels.lookup import (
     nearest_records,
 )
 from joulebox_render.kernels.rng import path_key
-from joulebox_render.records import F4, F8, U1, U8, Estimates, Points, Scratch, Tree
+from joulebox_render.records import F4, F8, I8, U1, U8, Estimates, Points, Scratch, Tree
 from joulebox_render.stages.context import Context
 from joulebox_render.stages.density import (
+    FEW_WITNESSES_STEP,
     RAYS_PER_ESTIMATE,
     DensityEstimate,
     global_estimate,
@@ -100,7 +101,9 @@ class Illumination:
         count = len(points.owner)
         if self.records is None:
             estimates = self.estimate(points.position, points.normal, probe_keys(points))
-            return estimates.irradiance, np.zeros(count, np.uint8)
+            few = np.ascontiguousarray(estimates.witness[:, ::FEW_WITNESSES_STEP])
+            share = share_in_sight(self.estimate.context, self.estimate.photons, points.position, points.normal, few)
+            return estimates.irradiance, (share < 1).view(np.uint8)
         irradiance, unsure = np.empty((count, 3), np.float32), np.empty(count, np.uint8)
         look_up_irradiance(
             self.records.table, self.records.tree, self.records.irradiance, self.records.doubtful,
@@ -117,16 +120,18 @@ def precompute_irradiance(context: Context, photons: PhotonMap) -> IrradianceRec
     chosen = photons.rank % step == 0
     position = np.ascontiguousarray(photons.tree.position[chosen])
     normal = np.ascontiguousarray(photons.tree.normal[chosen])
+    number = photons.rank[chosen].astype(np.int64)
     estimate = other_photons(context, photons, chosen)
     doubtful = np.empty(len(position), np.uint8)
 
     def chunk(first: int, last: int) -> Estimates:
         here, facing = position[first:last], normal[first:last]
-        estimates = estimate(here, facing, np.arange(first, last, dtype=np.uint64))
+        estimates = estimate(here, facing, number[first:last].astype(np.uint64))
         doubtful[first:last] = (
             share_in_sight(context, estimate.photons, here, facing, estimates.witness) < 1
         )
-        return estimates._replace(irradiance=estimates.irradiance + direct_irradiance(context, first, here, facing))
+        sampled = direct_irradiance(context, number[first:last], here, facing)
+        return estimates._replace(irradiance=estimates.irradiance + sampled)
 
     parts = list(context.pool.map_chunks(chunk, len(position), RAYS_PER_ESTIMATE))
     estimates = Estimates(*map(np.concatenate, zip(*parts, strict=True))) if parts else Estimates.empty(0)
@@ -166,15 +171,18 @@ def other_photons(context: Context, photons: PhotonMap, chosen: npt.NDArray[np.b
     return replace(estimate, photons=rest, count=max(2, round(estimate.count * (step - 1) / step)))
 
 
-def direct_irradiance(context: Context, first: int, position: F4, normal: F4) -> F4:
-    """Irradiance (N, 3) f4 straight from the lights at records `first` ..., by RECORD_SHADOW_RAYS to each [W m^-2]."""
+def direct_irradiance(context: Context, number: I8, position: F4, normal: F4) -> F4:
+    """Irradiance (N, 3) f4 straight from the lights at records, by RECORD_SHADOW_RAYS to each [W m^-2].
+
+    number (N,) names each record's samples; like which photons are records, it must not hang on the tree's order.
+    """
     count = len(position)
     points = Points.empty(count)
     points.position[:] = position + context.tables.epsilon[0] * normal
     points.normal[:] = points.geometric[:] = normal
     points.albedo[:] = math.pi
     points.key[:] = path_key(context.settings.seed, RECORD_STREAM, 0)
-    points.sample[:] = np.arange(first, first + count)
+    points.sample[:] = number
     irradiance, _ = sample_lights(context, points, 0, count, RECORD_SHADOW_RAYS)
     return irradiance.astype(np.float32)
 
