@@ -62,15 +62,16 @@ class Intersector:
     def closest(self, origin: F4, direction: F4) -> Hits:
         """Nearest hit of each ray; origin and direction (N, 3) f4, directions unit."""
         count = len(origin)
-        distance = np.full(count, FAR, np.float32)
-        primitive = np.full(count, -1, np.int32)
-        u, v = np.zeros((2, count), np.float32)
         if self.embree is not None and count:
             answer = self.embree.run(origin, direction, query="INTERSECT", output=True)
+            distance, primitive = np.empty(count, np.float32), np.empty(count, np.int32)
             merge_embree_hits(answer["tfar"], answer["primID"], distance, primitive, FAR)
             u, v = answer["u"], answer["v"]
-        elif self.bvh is not None:
-            closest_triangles(self.bvh, origin, direction, Stack.empty(), distance, primitive, u, v)
+        else:
+            distance, primitive = np.full(count, FAR, np.float32), np.full(count, -1, np.int32)
+            u, v = np.zeros((2, count), np.float32)
+            if self.bvh is not None:
+                closest_triangles(self.bvh, origin, direction, Stack.empty(), distance, primitive, u, v)
         if len(self.tables.analytic_kind):
             closest_analytic(self.tables, origin, direction, distance, primitive)
         return Hits(distance, primitive, u, v)
