@@ -37,17 +37,22 @@ class Interval:
 
 @dataclass
 class StageClock:
-    """Collects the disjoint intervals of one image; `listener` hears of each as it ends."""
+    """Collects the disjoint intervals of one image; `listener` hears of each as it ends.
+
+    count_rays tells how many rays have been traced so far, by whatever stage.
+    """
 
     listener: Callable[[Interval], None] | None = None
+    count_rays: Callable[[], int] = lambda: 0
     intervals: list[Interval] = field(default_factory=list)
 
     @contextmanager
     def stage(self, name: str, part: str = "", through_specular: bool = False) -> Iterator[Interval]:
-        """Time a block as (a stretch of) a stage; the block adds to the interval's `rays`."""
+        """Time a block as (a stretch of) a stage, and count its rays."""
         interval = Interval(name, part, through_specular, time.perf_counter_ns())
-        cpu_start = time.process_time()
+        cpu_start, rays_before = time.process_time(), self.count_rays()
         yield interval
+        interval.rays = self.count_rays() - rays_before
         interval.cpu_s = time.process_time() - cpu_start
         interval.end_ns = time.perf_counter_ns()
         self.intervals.append(interval)

@@ -53,11 +53,11 @@ def render_image(
     """Render one image; `progress` hears the share of pixels done."""
     settings = context.settings
     assert settings.width and settings.height
+    clock.count_rays = lambda: context.intersector.traced
     maps = make_maps(context, clock)
     if context.plan.irradiance_cache:
-        with clock.stage("indirect", part="overture") as interval:
-            cache, rays = fill_cache(context, camera, illumination(context, maps))
-            interval.rays += rays
+        with clock.stage("indirect", part="overture"):
+            cache, _ = fill_cache(context, camera, illumination(context, maps))
         maps = replace(maps, cache=cache)
     pixel_count = settings.width * settings.height
     band = max(1, BAND_RAYS // settings.samples_per_pixel)
@@ -75,9 +75,8 @@ def make_maps(context: Context, clock: StageClock) -> Maps:
     settings, plan = context.settings, context.plan
     global_map = caustic_map = irradiance = shadow_map = None
     if plan.global_map or plan.caustic_map:
-        with clock.stage("photon_map", part="emission") as interval:
+        with clock.stage("photon_map", part="emission"):
             emission = emit_and_store(context)
-            interval.rays += emission.rays
         with clock.stage("photon_map", part="construction"):
             if emission.global_photons is not None:
                 global_map = build_photon_map(
@@ -88,9 +87,8 @@ def make_maps(context: Context, clock: StageClock) -> Maps:
                     emission.caustic_photons, emission.caustic_emitted, settings.caustic_photons
                 )
     if plan.shadow_photons:
-        with clock.stage("photon_map", part="shadow_photons") as interval:
+        with clock.stage("photon_map", part="shadow_photons"):
             shadow_map = build_shadow_map(context)
-            interval.rays += shadow_map.rays
     if plan.precomputed_irradiance and global_map is not None:
         with clock.stage("precomputed_irradiance"):
             irradiance = precompute_irradiance(context, global_map)
@@ -101,10 +99,9 @@ def render_band(
     context: Context, camera: Camera, maps: Maps, clock: StageClock, first_pixel: int, pixels: F4
 ) -> None:
     """Render pixels from `first_pixel` on into pixels (n, 3) f4."""
-    with clock.stage("direct") as interval:
+    with clock.stage("direct"):
         sight = look(context, camera, first_pixel, len(pixels))
         radiance = sight.emitted
-        interval.rays += sight.rays
     for points, through_specular in ((sight.direct, False), (sight.through_specular, True)):
         if len(points.owner):
             light_points(context, maps, clock, points, through_specular, radiance)
@@ -119,13 +116,11 @@ def light_points(
     with clock.stage("direct", through_specular=through_specular) as interval:
         direct = light_directly(context, points, maps.shadow_map.cells if maps.shadow_map else None)
         add_weighted(points, direct.radiance, radiance)
-        interval.rays += direct.rays
         interval.rays_saved += direct.rays_saved
     if context.plan.indirect:
-        with clock.stage("indirect", through_specular=through_specular) as interval:
-            light, rays = indirect_light(context, maps, points)
+        with clock.stage("indirect", through_specular=through_specular):
+            light, _ = indirect_light(context, maps, points)
             add_weighted(points, light, radiance)
-            interval.rays += rays
     if maps.caustic_map is not None:
         with clock.stage("caustics", through_specular=through_specular):
             add_weighted(points, show_photons(context, caustic_estimate(context, maps.caustic_map), points), radiance)

@@ -7,6 +7,7 @@ time. A query's answer does not depend on the batch it was asked in.
 
 from __future__ import annotations
 
+import threading
 from typing import Any
 
 import numpy as np
@@ -42,11 +43,16 @@ def choose(wanted: str) -> str:
 
 
 class Intersector:
-    """The acceleration structure of one scene; `name` says which it is, "embree" or "bvh"."""
+    """The acceleration structure of one scene; `name` says which it is, "embree" or "bvh".
+
+    traced counts the rays of all queries so far.
+    """
 
     def __init__(self, tables: SceneTables, wanted: str = "auto") -> None:
         self.name = choose(wanted)
         self.tables = tables
+        self.traced = 0
+        self._counting = threading.Lock()
         self.embree: Any = None
         self.bvh: Bvh | None = None
         if len(tables.triangles) == 0:
@@ -62,15 +68,17 @@ class Intersector:
     def closest(self, origin: F4, direction: F4) -> Hits:
         """Nearest hit of each ray; origin and direction (N, 3) f4, directions unit."""
         count = len(origin)
-        distance = np.full(count, FAR, np.float32)
-        primitive = np.full(count, -1, np.int32)
-        u, v = np.zeros((2, count), np.float32)
+        self._count(count)
         if self.embree is not None and count:
             answer = self.embree.run(origin, direction, query="INTERSECT", output=True)
+            distance, primitive = np.empty(count, np.float32), np.empty(count, np.int32)
             merge_embree_hits(answer["tfar"], answer["primID"], distance, primitive, FAR)
             u, v = answer["u"], answer["v"]
-        elif self.bvh is not None:
-            closest_triangles(self.bvh, origin, direction, Stack.empty(), distance, primitive, u, v)
+        else:
+            distance, primitive = np.full(count, FAR, np.float32), np.full(count, -1, np.int32)
+            u, v = np.zeros((2, count), np.float32)
+            if self.bvh is not None:
+                closest_triangles(self.bvh, origin, direction, Stack.empty(), distance, primitive, u, v)
         if len(self.tables.analytic_kind):
             closest_analytic(self.tables, origin, direction, distance, primitive)
         return Hits(distance, primitive, u, v)
@@ -78,6 +86,7 @@ class Intersector:
     def occluded(self, origin: F4, direction: F4, limit: F4) -> U1:
         """1 where anything lies on the ray nearer than `limit` (N,) f4 [m], which is not overwritten."""
         count = len(origin)
+        self._count(count)
         blocked = np.zeros(count, np.uint8)
         if self.embree is not None and count:
             answer = self.embree.run(origin, direction, dists=limit.copy(), query="OCCLUDED")
@@ -87,3 +96,7 @@ class Intersector:
         if len(self.tables.analytic_kind):
             occluded_analytic(self.tables, origin, direction, limit, blocked)
         return blocked
+
+    def _count(self, rays: int) -> None:
+        with self._counting:
+            self.traced += rays

@@ -131,8 +131,9 @@ def test_recorded_rays_are_those_that_were_counted_and_change_no_pixel() -> None
         counted[key] = counted.get(key, 0) + interval.rays
     recorded = {name: sum(len(batch.origin) for batch in batches) for name, batches in queries.items()}
     assert recorded == {name: rays for name, rays in counted.items() if rays}
-    assert {"direct", "indirect", "photon_map, emission"} == set(recorded)
-    assert all(batch.limit is None for name in ("indirect", "photon_map, emission") for batch in queries[name])
+    stages = {"direct", "indirect", "indirect, overture", "photon_map, emission", "precomputed_irradiance"}
+    assert stages == set(recorded)
+    assert all(batch.limit is None for batch in queries["photon_map, emission"])
     assert before.pixel_sha256 == after.pixel_sha256
 
 

@@ -136,7 +136,7 @@ ROWS: dict[str, Row] = {
     "use_shadow_photons": Row(False, True, rays("direct"), 0.98, DIRECT, "cornell-boxes"),
     # Light that comes through one place; where it comes from everywhere alike, there is nothing to gain.
     "importance_sampling": Row(
-        False, True, spread, 0.95, {**GATHERED, "final_gather_rays": 64, "shadow_rays": 64}, "thin-wall",
+        False, True, spread, 0.99, {**GATHERED, "final_gather_rays": 64, "shadow_rays": 64}, "thin-wall",
     ),
 }  # fmt: skip
 ELSEWHERE = {"normal_angle_deg"}  # below
