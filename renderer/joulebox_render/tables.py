@@ -6,11 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from joulebox_render.kernels.lighting import CLOSE
 from joulebox_render.records import DISK_LIGHT, ENVIRONMENT, F4, F8, I4, MESH_LIGHT, RECTANGLE_LIGHT, U1, Scene
-
-# A point is close to a light where one sample of the light alone could bring more than this many times the irradiance
-# of a sky of the light's radiance.
-CLOSE = 2.0
 
 
 class SceneTables(NamedTuple):

@@ -13,8 +13,6 @@ from joulebox_render.kernels.vector import row3, set_row3
 CONSTANT, CONE, EPANECHNIKOV = 0, 1, 2
 # Jensen's cone filter falls to 1 - 1 / CONE_STEEPNESS at the edge of the disc.
 CONE_STEEPNESS = 1.1
-# Photons of an estimate that are named with it.
-WITNESSES = 8
 # Dimension of the number that decides which gather rays are short.
 SHORT_DIMENSION = 9
 
@@ -68,8 +66,8 @@ def estimate_irradiance(tree, flux, position, normal, k, reach, cos_limit, filte
             scale = 1.0 / (math.pi * radius2)
             red, green, blue = red * scale, green * scale, blue * scale
         set_row3(estimates.irradiance, q, red, green, blue)
-        for w in range(WITNESSES):
-            spread = w * inside // WITNESSES
+        for w in range(estimates.witness.shape[1]):
+            spread = w * inside // estimates.witness.shape[1]
             estimates.witness[q, w] = candidate_row(scratch.candidates[spread]) if inside > 0 else -1
         estimates.radius[q], estimates.found[q] = math.sqrt(radius2), inside
         square = ax * ax + ay * ay + az * az
