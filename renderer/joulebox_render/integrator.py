@@ -57,7 +57,7 @@ def render_image(
     maps = make_maps(context, clock)
     if context.plan.irradiance_cache:
         with clock.stage("indirect", part="overture"):
-            cache, _ = fill_cache(context, camera, illumination(context, maps))
+            cache = fill_cache(context, camera, illumination(context, maps))
         maps = replace(maps, cache=cache)
     pixel_count = settings.width * settings.height
     band = max(1, BAND_RAYS // settings.samples_per_pixel)
@@ -119,19 +119,18 @@ def light_points(
         interval.rays_saved += direct.rays_saved
     if context.plan.indirect:
         with clock.stage("indirect", through_specular=through_specular):
-            light, _ = indirect_light(context, maps, points)
-            add_weighted(points, light, radiance)
+            add_weighted(points, indirect_light(context, maps, points), radiance)
     if maps.caustic_map is not None:
         with clock.stage("caustics", through_specular=through_specular):
             add_weighted(points, show_photons(context, caustic_estimate(context, maps.caustic_map), points), radiance)
 
 
-def indirect_light(context: Context, maps: Maps, points: Points) -> tuple[F8, int]:
-    """Indirect light at points by the method that the settings name, and the rays it took."""
+def indirect_light(context: Context, maps: Maps, points: Points) -> F8:
+    """Indirect light at points by the method that the settings name."""
     if maps.global_map is None:
         return trace_paths(context, points)
     if context.settings.indirect == "direct_visualization":
-        return show_photons(context, global_estimate(context, maps.global_map), points), 0
+        return show_photons(context, global_estimate(context, maps.global_map), points)
     light = illumination(context, maps)
     if maps.cache is not None:
         return cached_gather(context, maps.cache, light, points)

@@ -118,7 +118,7 @@ def test_walls_do_not_leak() -> None:
 def test_directions_that_share_a_cell_are_less_than_45_degrees_apart() -> None:
     """Most are within 30: and those that scenes are full of share one with all directions up to 5 degrees off."""
     random = np.random.default_rng(3)
-    table = IrradianceTable(np.zeros(3), 1.0, np.full(1, NO_CELL), np.zeros((1, 3), np.float32), np.zeros(1, np.uint8))
+    table = IrradianceTable(np.zeros(3), 1.0, np.full(1, NO_CELL), np.zeros((1, 4), np.float32))
     directions = random.standard_normal((1500, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
     code = np.array([cell_key(table, 0.5, 0.5, 0.5, *direction) for direction in directions])
@@ -184,7 +184,7 @@ def test_the_table_does_not_depend_on_threads_or_chunks() -> None:
     np.testing.assert_array_equal(tables[0].key, tables[1].key)
     filled = tables[0].key != NO_CELL
     assert filled.sum() <= len(filled) / 2
-    np.testing.assert_array_equal(tables[0].irradiance[filled], tables[1].irradiance[filled])
+    np.testing.assert_array_equal(tables[0].light[filled], tables[1].light[filled])
 
 
 def test_cells_at_a_wall_and_beyond_it_are_unsure() -> None:
@@ -220,5 +220,5 @@ def test_a_doubtful_record_makes_its_cells_unsure() -> None:
     records.doubtful[:] = 1
     with WorkerPool(1) as pool:
         table = tabulate(context_of(pool), records, COS_LIMIT, EDGE, 1.3 * EDGE, 1e-6)
-    assert table.unsure[table.key != NO_CELL].all()
-    assert not records.table.unsure[records.table.key != NO_CELL].all()
+    assert not table.light[table.key != NO_CELL, 3].any()
+    assert records.table.light[records.table.key != NO_CELL, 3].any()

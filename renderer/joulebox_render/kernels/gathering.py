@@ -117,18 +117,27 @@ def reflect_irradiance(points, irradiance, radiance):
             radiance[owner, c] += points.weight[q, c] * points.albedo[q, c] * irradiance[q, c] / math.pi
 
 
+@device
+def short_ray(key, sample, distance, resolution):
+    """Whether a path's last ray is shorter than about `resolution` [m].
+
+    The limit varies from 0.5 to 1.5 of it by chance, so that no line shows where the method changes.
+    """
+    if distance >= 1.5 * resolution:
+        return False
+    return distance < resolution * (0.5 + uniform(member_key(key, sample), SHORT_DIMENSION))
+
+
 @kernel
 def take_unsure(points, unsure, resolution, near):
     """Move points marked in unsure (N,) u1, or with a last ray shorter than about `resolution` [m], to `near`.
 
-    Returns how many. Their weights in `points` become 0. near is overwritten, in the order of the points. The limit
-    varies from 0.5 to 1.5 of the resolution by chance, so that no line shows where the method changes.
+    Returns how many. Their weights in `points` become 0. near is overwritten, in the order of the points.
     """
     count = 0
     for q in range(points.owner.shape[0]):
         key, sample = points.key[q], points.sample[q]
-        limit = resolution * (0.5 + uniform(member_key(key, sample), SHORT_DIMENSION))
-        if points.distance[q] >= limit and not unsure[q]:
+        if not (unsure[q] or short_ray(key, sample, points.distance[q], resolution)):
             continue
         px, py, pz = row3(points.position, q)
         gx, gy, gz = row3(points.geometric, q)

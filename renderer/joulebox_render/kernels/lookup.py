@@ -9,10 +9,13 @@ import math
 import numpy as np
 
 from joulebox_render.kernels.compilation import device, kernel
+from joulebox_render.kernels.gathering import short_ray
 from joulebox_render.kernels.kdtree import nearest_point
 from joulebox_render.kernels.rng import mix
+from joulebox_render.kernels.surface import surface_at_hit
 from joulebox_render.kernels.vector import row3, set_row3, tangent_frame
 
+DIFFUSE = 0
 # A cell's key: 19 bits for each coordinate and 7 for the normal; no normal's code reaches 127.
 CELLS_A_SIDE = 1 << 19
 NO_CELL = np.uint64(0xFFFFFFFFFFFFFFFF)
@@ -151,8 +154,8 @@ def look_up_irradiance(
         slot = find_slot(table.key, key)
         if table.key[slot] != NO_CELL:
             for c in range(3):
-                irradiance[q, c] = table.irradiance[slot, c]
-            unsure[q] = table.unsure[slot]
+                irradiance[q, c] = table.light[slot, c]
+            unsure[q] = table.light[slot, 3] == 0.0
             met += 1
             continue
         row = nearest_point(tree, x, y, z, nx, ny, nz, cos_limit, reach * reach, scratch)
@@ -161,3 +164,37 @@ def look_up_irradiance(
         for c in range(3):
             irradiance[q, c] = records[row, c] if row >= 0 else 0.0
     return met
+
+
+@kernel
+def answer_rays(tables, table, resolution, rays, hits, radiance, rest):
+    """Add weight x albedo / pi x irradiance of the cell that each ray ends in to its owner, where the table is sure.
+
+    Rays that end at anything but a diffuse surface, nearer than about `resolution` [m] (see short_ray), in an unsure
+    cell or in none are left alone: their rows go to rest (N,) i4, in order, and their number is returned. Rays that
+    bring nothing in any case (weight 0, or a miss) are not among them. radiance (owners, 3) f8.
+    """
+    epsilon = tables.epsilon[0]
+    left = 0
+    for i in range(rays.owner.shape[0]):
+        primitive = hits.primitive[i]
+        if primitive < 0:
+            continue
+        material = tables.material[primitive]
+        if tables.material_kind[material] == DIFFUSE and not short_ray(
+            rays.key[i], rays.sample[i], hits.distance[i], resolution
+        ):
+            front, px, py, pz, gx, gy, gz, sx, sy, sz = surface_at_hit(tables, rays, hits, i, primitive)
+            if not (front or tables.material_two_sided[material]):
+                continue
+            x, y, z = px + epsilon * gx, py + epsilon * gy, pz + epsilon * gz
+            slot = find_slot(table.key, cell_key(table, x, y, z, sx, sy, sz))
+            if table.key[slot] != NO_CELL and table.light[slot, 3] > 0.0:
+                owner = rays.owner[i]
+                for c in range(3):
+                    reflectance = tables.material_albedo[material, c] / math.pi
+                    radiance[owner, c] += rays.weight[i, c] * reflectance * table.light[slot, c]
+                continue
+        rest[left] = i
+        left += 1
+    return left

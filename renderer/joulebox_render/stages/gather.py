@@ -9,7 +9,7 @@ import numpy as np
 from joulebox_render.kernels.gathering import add_weighted, reflect_irradiance, reflect_mean, take_unsure
 from joulebox_render.kernels.importance import CELL_COLUMNS, CELL_ROWS, incoming_chances
 from joulebox_render.kernels.transport import continue_paths, gather_rays
-from joulebox_render.records import F4, F8, Points, Rays, Scratch, rows
+from joulebox_render.records import F4, F8, Hits, Points, Rays, Scratch, rows
 from joulebox_render.stages.context import Context
 from joulebox_render.stages.direct import sample_lights
 from joulebox_render.stages.paths import follow_to_diffuse, join
@@ -22,21 +22,34 @@ NOT_BENT: F4 = np.empty((0, CELL_ROWS * CELL_COLUMNS), np.float32)
 MAX_PATH_BOUNCES = 1000
 # A gather ray's stretches shorter than the photon map's resolution that are gathered again before it is asked.
 MOST_SHORT = 8
+# Chunks whose gathers are made as one.
+MOST_TOGETHER = 4
 
 
-def final_gather(context: Context, light: Illumination, points: Points, count: int) -> tuple[F8, int]:
-    """Radiance (points, 3) f8 that points reflect of light from other surfaces, by `count` rays each; rays traced."""
+def final_gather(context: Context, light: Illumination, points: Points, count: int) -> F8:
+    """Radiance (points, 3) f8 that points reflect of light from other surfaces, by `count` rays each."""
 
-    def chunk(first: int, last: int) -> tuple[F8, int]:
+    def chunk(first: int, last: int) -> F8:
         rays = Rays.empty((last - first) * count)
         chance = incoming(context, light, points, first, last)
         gather_rays(points, first, last, count, context.columns(count), chance, rays)
-        incident, _, traced = incident_radiance(context, light, rays)
+        incident, _ = incident_radiance(context, light, rays)
         radiance = np.empty((last - first, 3))
         reflect_mean(points, first, last, count, incident, radiance)
-        return radiance, traced
+        return radiance
 
-    return collect(context.pool.map_chunks(chunk, len(points.owner), count))
+    gathers = len(points.owner)
+    return collect(context.pool.map_chunks(chunk, gathers, rays_per_gather(context, gathers, count)))
+
+
+def rays_per_gather(context: Context, gathers: int, count: int) -> int:
+    """What a final gather of `count` rays counts for when work is cut into chunks.
+
+    Up to MOST_TOGETHER chunks' worth of rays go together, as far as all threads still get some, so that the few second
+    gathers they leave are traced in batches that are worth their arrays.
+    """
+    together = gathers * count // (context.pool.threads * context.pool.chunk_rays)
+    return max(1, count // max(1, min(MOST_TOGETHER, together)))
 
 
 def incoming(context: Context, light: Illumination, points: Points, first: int, last: int) -> F4:
@@ -52,8 +65,8 @@ def incoming(context: Context, light: Illumination, points: Points, first: int, 
     return chance
 
 
-def incident_radiance(context: Context, light: Illumination, rays: Rays) -> tuple[F8, F4, int]:
-    """Radiance that comes in along gather rays, (N, 3) f8, the distance it comes from (N,) f4 [m], and rays traced.
+def incident_radiance(context: Context, light: Illumination, rays: Rays) -> tuple[F8, F4]:
+    """Radiance that comes in along gather rays, (N, 3) f8, and the distance it comes from (N,) f4 [m].
 
     Light that surfaces emit towards the rays' origins is left out: it is sampled directly, or, where it comes through
     mirrors and glass, shown by the caustic map; without a caustic map gather rays find it. Where a ray ends
@@ -62,70 +75,89 @@ def incident_radiance(context: Context, light: Illumination, rays: Rays) -> tupl
     sampled (LuxCore's remedy); after MOST_SHORT such stretches it is asked all the same.
     """
     radiance = np.zeros((len(rays.owner), 3))
-    emission = not context.plan.caustic_map
-    reached, distance, traced = follow_to_diffuse(
-        context, rays, radiance, split=False, first_emission=False, specular_emission=emission
-    )
+    distance = np.zeros(0, np.float32)
     for stretch in range(MOST_SHORT + 1):
-        again: list[Points] = []
-        for depth, far in enumerate(reached):
-            irradiance, unsure = light.look_up(far)
-            if stretch < MOST_SHORT:
-                near = Points.empty(len(far.owner))
-                # Past a mirror or glass the last stretch says nothing about how near the gathering point is.
-                count = take_unsure(far, unsure, 0.0 if depth else light.resolution_m, near)
-                again.append(Points(*rows(near, slice(0, count))))
-            reflect_irradiance(far, irradiance, radiance)
-        near = join(again)
+        hits = context.intersector.closest(rays.origin, rays.direction)
+        if stretch == 0:
+            distance = hits.distance
+        near = ask_map(context, light, rays, hits, stretch, radiance)
         if not len(near.owner):
             break
-        lit, shadow = sample_lights(context, near, 0, len(near.owner), 1)
+        lit, _ = sample_lights(context, near, 0, len(near.owner), 1)
         add_weighted(near, lit, radiance)
         if light.caustics is not None:
             reflect_irradiance(near, light.caustics(near.position, near.normal, near.key).irradiance, radiance)
+        if stretch == context.settings.max_photon_bounces:
+            break
         onward = Rays.empty(len(near.owner))
         count = continue_paths(near, context.sobol, stretch, onward)
-        reached, _, through = follow_to_diffuse(
-            context, Rays(*rows(onward, slice(0, count))), radiance,
-            split=False, first_emission=False, specular_emission=emission,
-        )  # fmt: skip
-        traced += shadow + through
-    return radiance, distance, traced
+        rays = Rays(*rows(onward, slice(0, count)))
+    return radiance, distance
 
 
-def trace_paths(context: Context, points: Points) -> tuple[F8, int]:
-    """Radiance (points, 3) f8 of all light that bounced, one unbiased path a point, and the rays traced.
+def ask_map(
+    context: Context, light: Illumination, rays: Rays, hits: Hits, stretch: int, radiance: F8
+) -> Points:
+    """Add what the map knows of the light at the ends of rays to radiance (owners, 3) f8; the points it knows not of.
+
+    The map knows of as many bounces as photons make. Where that is fewer than stretches may follow each other, it
+    would add bounces to those of the stretches before: then only the first asks it, and what it does not know is
+    a path that ends by itself.
+    """
+    asks = stretch == 0 or context.settings.max_photon_bounces > MOST_SHORT
+    last = stretch == MOST_SHORT
+    if asks and not last and light.records is not None:
+        rest = light.answer(context, rays, hits, radiance)
+        rays, hits = Rays(*rows(rays, rest)), Hits(*rows(hits, rest))
+    reached = follow_to_diffuse(
+        context, rays, radiance,
+        split=False, first_emission=False, specular_emission=not context.plan.caustic_map, hits=hits,
+    ).reached  # fmt: skip
+    if not asks:
+        return join(reached)
+    unknown: list[Points] = []
+    for depth, far in enumerate(reached):
+        irradiance, unsure = light.look_up(far)
+        if not last:
+            near = Points.empty(len(far.owner))
+            # Past a mirror or glass the last stretch says nothing about how near the gathering point is.
+            count = take_unsure(far, unsure, 0.0 if depth else light.resolution_m, near)
+            unknown.append(Points(*rows(near, slice(0, count))))
+        reflect_irradiance(far, irradiance, radiance)
+    return join(unknown)
+
+
+def trace_paths(context: Context, points: Points) -> F8:
+    """Radiance (points, 3) f8 of all light that bounced, one unbiased path a point.
 
     Next-event estimation at every diffuse point; emission counts where a path found it through specular and
     glossy surfaces, which next-event estimation cannot. Russian roulette after two bounces.
     """
 
-    def chunk(first: int, last: int) -> tuple[F8, int]:
+    def chunk(first: int, last: int) -> F8:
         count = last - first
         radiance = np.zeros((count, 3))
         here = Points(*rows(points, slice(first, last)))._replace(
             weight=np.ones((count, 3), np.float32), owner=np.arange(count, dtype=np.int64)
         )
-        traced = 0
         for bounce in range(MAX_PATH_BOUNCES):
             rays = Rays.empty(len(here.owner))
             going_on = continue_paths(here, context.sobol, bounce, rays)
             if going_on == 0:
                 break
-            reached, _, through = follow_to_diffuse(
-                context, Rays(*rows(rays, slice(0, going_on))), radiance, split=False,
-                first_emission=False, specular_emission=True,
+            here = join(
+                follow_to_diffuse(
+                    context, Rays(*rows(rays, slice(0, going_on))), radiance, split=False,
+                    first_emission=False, specular_emission=True,
+                ).reached
             )  # fmt: skip
-            here = join(reached)
-            light, shadow = sample_lights(context, here, 0, len(here.owner), 1)
+            light, _ = sample_lights(context, here, 0, len(here.owner), 1)
             add_weighted(here, light, radiance)
-            traced += through + shadow
-        return radiance, traced
+        return radiance
 
     return collect(context.pool.map_chunks(chunk, len(points.owner), 8))
 
 
-def collect(chunks: Iterable[tuple[F8, int]]) -> tuple[F8, int]:
-    """Radiance of all chunks in order, and the sum of their rays."""
-    parts = list(chunks)
-    return np.concatenate([np.zeros((0, 3)), *(part for part, _ in parts)]), sum(traced for _, traced in parts)
+def collect(chunks: Iterable[F8]) -> F8:
+    """Radiance of all chunks in order."""
+    return np.concatenate([np.zeros((0, 3)), *chunks])

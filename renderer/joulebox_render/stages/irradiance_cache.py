@@ -22,7 +22,7 @@ from joulebox_render.kernels.transport import gather_rays
 from joulebox_render.records import F4, F8, I4, I8, U1, Camera, Points, Rays, rows
 from joulebox_render.stages.context import Context
 from joulebox_render.stages.eye import camera_frame, look
-from joulebox_render.stages.gather import NOT_BENT, final_gather, incident_radiance
+from joulebox_render.stages.gather import NOT_BENT, final_gather, incident_radiance, rays_per_gather
 from joulebox_render.stages.paths import join
 from joulebox_render.stages.precomputed import Illumination
 
@@ -79,30 +79,26 @@ class IrradianceCache(NamedTuple):
     grid: CacheGrid
 
 
-def fill_cache(context: Context, camera: Camera, light: Illumination) -> tuple[IrradianceCache, int]:
-    """The overture: records for all that the camera sees, and the rays traced."""
+def fill_cache(context: Context, camera: Camera, light: Illumination) -> IrradianceCache:
+    """The overture: records for all that the camera sees."""
     settings = context.settings
     assert settings.width and settings.height
-    records, traced = CacheRecords.empty(0), 0
+    records = CacheRecords.empty(0)
     cache = index_records(records, settings.irradiance_cache_tolerance)
     for level, step in enumerate(STEPS):
         width, height = -(-settings.width // step), -(-settings.height // step)
         sight = look(context, camera, 0, width * height, size=(width, height), overture=level + 1)
         points = join([sight.direct, sight.through_specular])
-        traced += sight.rays
         _, found = interpolate(context, cache, points, PLACING)
         missing = Points(*rows(points, found == 0))
-        added, rays = gather_records(context, camera, light, missing)
-        traced += rays
+        added = gather_records(context, camera, light, missing)
         records = CacheRecords(*(np.concatenate(pair) for pair in zip(records, added, strict=True)))
         cache = index_records(records, settings.irradiance_cache_tolerance)
-    return cache, traced
+    return cache
 
 
-def gather_records(
-    context: Context, camera: Camera, light: Illumination, points: Points
-) -> tuple[CacheRecords, int]:
-    """Final gathers at points made records, and the rays traced."""
+def gather_records(context: Context, camera: Camera, light: Illumination, points: Points) -> CacheRecords:
+    """Final gathers at points made records."""
     settings = context.settings
     assert settings.width and settings.height
     polar = max(1, round(math.sqrt(settings.final_gather_rays / math.pi)))
@@ -113,20 +109,20 @@ def gather_records(
     footprint = pixel * np.linalg.norm(points.position - frame[0], axis=1) / settings.irradiance_cache_tolerance
     near, far = (np.asarray(pixels * footprint, np.float32) for pixels in (LEAST_PIXELS, MOST_PIXELS))
 
-    def chunk(first: int, last: int) -> tuple[CacheRecords, int]:
+    def chunk(first: int, last: int) -> CacheRecords:
         rays = Rays.empty((last - first) * count)
         gather_rays(points, first, last, count, polar, NOT_BENT, rays)
-        incident, distance, traced = incident_radiance(context, light, rays)
+        incident, distance = incident_radiance(context, light, rays)
         part = CacheRecords.empty(last - first)
         summarize_gather(
             points, first, polar, azimuth, settings.irradiance_cache_tolerance, incident, distance,
             near[first:last], far[first:last], part, 0,
         )  # fmt: skip
-        return part, traced
+        return part
 
-    parts = list(context.pool.map_chunks(chunk, len(points.owner), count))
-    columns = zip(CacheRecords.empty(0), *(part for part, _ in parts), strict=True)
-    return CacheRecords(*(np.concatenate(column) for column in columns)), sum(traced for _, traced in parts)
+    gathers = len(points.owner)
+    parts = list(context.pool.map_chunks(chunk, gathers, rays_per_gather(context, gathers, count)))
+    return CacheRecords(*map(np.concatenate, zip(CacheRecords.empty(0), *parts, strict=True)))
 
 
 def index_records(records: CacheRecords, tolerance: float) -> IrradianceCache:
@@ -184,15 +180,12 @@ def interpolate(context: Context, cache: IrradianceCache, points: Points, share:
     return irradiance, found
 
 
-def cached_gather(
-    context: Context, cache: IrradianceCache, light: Illumination, points: Points
-) -> tuple[F8, int]:
-    """Radiance (points, 3) f8 that points reflect of indirect light, and the rays traced where no record reached."""
+def cached_gather(context: Context, cache: IrradianceCache, light: Illumination, points: Points) -> F8:
+    """Radiance (points, 3) f8 that points reflect of indirect light; gathered where no record reaches."""
     irradiance, found = interpolate(context, cache, points)
     radiance = points.albedo * irradiance / math.pi
     missing = np.flatnonzero(found == 0)
     # The samples of a pixel share the noise of its own gathers as records share theirs with many pixels.
     count = max(LEAST_RAYS, context.settings.final_gather_rays // context.settings.samples_per_pixel)
-    gathered, traced = final_gather(context, light, Points(*rows(points, missing)), count)
-    radiance[missing] = gathered
-    return radiance.astype(np.float64), traced
+    radiance[missing] = final_gather(context, light, Points(*rows(points, missing)), count)
+    return radiance.astype(np.float64)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from joulebox_render.kernels.transport import advance
-from joulebox_render.records import F4, F8, Points, Rays, rows
+from joulebox_render.records import F4, F8, Hits, Points, Rays, rows
 from joulebox_render.stages.context import Context
 
 # Rays of the glossy lobe that an eye ray meets first: one would show the lamp in it as noise.
@@ -25,12 +25,14 @@ class Followed(NamedTuple):
 
 
 def follow_to_diffuse(
-    context: Context, rays: Rays, radiance: F8, *, split: bool, first_emission: bool, specular_emission: bool
-) -> Followed:
+    context: Context, rays: Rays, radiance: F8, *, split: bool, first_emission: bool, specular_emission: bool,
+    hits: Hits | None = None,
+) -> Followed:  # fmt: skip
     """Trace rays through specular and glossy surfaces.
 
     radiance (owners, 3) f8 is added to: light emitted at the rays' first hits where `first_emission`, behind
-    mirrors, glass and glossy surfaces where `specular_emission`. Paths end after `max_depth` bounces.
+    mirrors, glass and glossy surfaces where `specular_emission`. Paths end after `max_depth` bounces. `hits` are the
+    rays' own, where they have been traced before.
     """
     reached: list[Points] = []
     distance = np.zeros(0, np.float32)
@@ -40,8 +42,9 @@ def follow_to_diffuse(
         count = len(rays.owner)
         if count == 0:
             break
-        hits = context.intersector.closest(rays.origin, rays.direction)
-        traced += count
+        if hits is None or depth:
+            hits = context.intersector.closest(rays.origin, rays.direction)
+            traced += count
         if depth == 0:
             distance = hits.distance
         points = Points.empty(count)

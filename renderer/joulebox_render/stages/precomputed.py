@@ -19,12 +19,13 @@ from joulebox_render.kernels.lookup import (
     LATTICE,
     NO_CELL,
     aim_feelers,
+    answer_rays,
     look_up_irradiance,
     mark_cells,
     nearest_records,
 )
 from joulebox_render.kernels.rng import path_key
-from joulebox_render.records import F4, F8, I8, U1, U8, Estimates, Points, Scratch, Tree
+from joulebox_render.records import F4, F8, I4, I8, U1, U8, Estimates, Hits, Points, Rays, Scratch, Tree
 from joulebox_render.stages.context import Context
 from joulebox_render.stages.density import (
     FEW_WITNESSES_STEP,
@@ -52,17 +53,16 @@ class IrradianceTable(NamedTuple):
     """Irradiance in cells of place and normal, a hash table.
 
     low (3,) f8, the cells' common corner [m]; cells_per_m, of a side; key (S,) u8, S a power of two, at most half of
-    them cells (kernels.lookup.cell_key), the others NO_CELL; irradiance (S, 3) f4 [W m^-2]; unsure (S,) u1, 1 where
-    something stands within a cell's length or between it and its record (a thin wall, a corner, a contact), the record
-    is doubtful, or there is none in reach. Whether to trust must not hang on how many photons an estimate found:
-    believing the lucky ones alone would make faint places too bright.
+    them cells (kernels.lookup.cell_key), the others NO_CELL; light (S, 4) f4, irradiance [W m^-2] and trust, together
+    because they are read together. Trust is 1, or 0 where something stands within a cell's length or between it and
+    its record (a thin wall, a corner, a contact), the record is doubtful, or there is none in reach. It must not hang
+    on how many photons an estimate found: believing the lucky ones alone would make faint places too bright.
     """
 
     low: F8
     cells_per_m: float
     key: U8
-    irradiance: F4
-    unsure: U1
+    light: F4
 
 
 class IrradianceRecords(NamedTuple):
@@ -93,6 +93,15 @@ class Illumination:
     @property
     def resolution_m(self) -> float:
         return self.estimate.reach_m
+
+    def answer(self, context: Context, rays: Rays, hits: Hits, radiance: F8) -> I4:
+        """Add what rays (N) bring from where the table is sure, to radiance (owners, 3) f8; the rows of all others.
+
+        Nearly all rays of a diffuse scene end there: what is known of them need not be written down and read again.
+        """
+        assert self.records is not None
+        rest = np.empty(len(rays.owner), np.int32)
+        return rest[: answer_rays(context.tables, self.records.table, self.resolution_m, rays, hits, radiance, rest)]
 
     def look_up(self, points: Points) -> tuple[F4, U1]:
         """Irradiance (N, 3) f4 that the records know, or a density estimate where none are kept; and where it cannot
@@ -189,7 +198,7 @@ def direct_irradiance(context: Context, number: I8, position: F4, normal: F4) ->
 
 def empty_table() -> IrradianceTable:
     """A table without cells, which leaves every look-up to the records."""
-    return IrradianceTable(np.zeros(3), 1.0, np.full(1, NO_CELL), np.zeros((1, 3), np.float32), np.zeros(1, np.uint8))
+    return IrradianceTable(np.zeros(3), 1.0, np.full(1, NO_CELL), np.zeros((1, 4), np.float32))
 
 
 def tabulate(
@@ -211,8 +220,7 @@ def tabulate(
     cells = -1
     while cells < 0:
         size *= 2
-        table = IrradianceTable(corner, 1 / edge_m, np.full(size, NO_CELL), np.empty((size, 3), np.float32),
-            np.empty(size, np.uint8))
+        table = IrradianceTable(corner, 1 / edge_m, np.full(size, NO_CELL), np.empty((size, 4), np.float32))
         place, facing = np.empty((2, size // 2, 3), np.float32)
         slots = np.empty(size // 2, np.int64)
         cells = mark_cells(table, tree.position, tree.normal, lift_m, steps, place, facing, slots)
@@ -222,7 +230,7 @@ def tabulate(
         nearest_records(
             tree, place[first:last], facing[first:last], records.reach_m, cos_limit, Scratch.empty(1), row
         )
-        table.irradiance[slots[first:last]] = np.where(row[:, None] >= 0, irradiance[row], 0.0)
+        table.light[slots[first:last], :3] = np.where(row[:, None] >= 0, irradiance[row], 0.0)
         origin, direction = np.empty((2, FEELERS * len(row), 3), np.float32)
         limit = np.empty(FEELERS * len(row), np.float32)
         aim_feelers(
@@ -230,7 +238,7 @@ def tabulate(
             origin, direction, limit,
         )  # fmt: skip
         blocked = context.intersector.occluded(origin, direction, limit).reshape(-1, FEELERS)
-        table.unsure[slots[first:last]] = blocked.any(axis=1) | (row < 0) | records.doubtful[row].view(np.bool_)
+        table.light[slots[first:last], 3] = ~blocked.any(axis=1) & (row >= 0) & (records.doubtful[row] == 0)
 
     list(context.pool.map_chunks(chunk, cells, RAYS_PER_LOOK_UP + FEELERS))
     return table
