@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from joulebox_render.kernels.bvh_build import BINS, MAX_DEPTH, bound_triangles, build_bvh
+from joulebox_render.kernels.bvh_build import BINS, MAX_DEPTH, build_bvh
 from joulebox_render.records import F4, F8, I4, I8
 
 # Boxes are widened by this share of the largest coordinate: a ray within a box's face is still inside.
@@ -67,14 +67,14 @@ class Work(NamedTuple):
 def grow_bvh(vertices: F4, triangles: I4) -> Bvh:
     """The hierarchy over triangles (T, 3) i4, T > 0, of vertices (V, 3) f4."""
     count = len(triangles)
-    corner, bounds = np.empty((count, 9), np.float32), np.empty((count, 6), np.float32)
-    bound_triangles(vertices, triangles, corner, bounds)
+    corner = vertices[triangles]
+    bounds = np.concatenate([corner.min(axis=1), corner.max(axis=1)], axis=1)
     order = np.arange(count, dtype=np.int32)
     box = cache_lines(count + 1)
     pad = np.float32(PAD * float(np.abs(bounds).max()))
     nodes = build_bvh(bounds, order, pad, box, box.view(np.int32), Work.empty())
     box = box[:nodes]
-    return Bvh(box, box.view(np.int32), corner[order], order)
+    return Bvh(box, box.view(np.int32), corner[order].reshape(count, 9), order)
 
 
 def cache_lines(rows: int) -> F4:

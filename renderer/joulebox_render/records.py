@@ -199,6 +199,27 @@ class Points(NamedTuple):
         )  # fmt: skip
 
 
+class Lobes(NamedTuple):
+    """Glossy lobes of the Phong surfaces that paths have reached.
+
+    at: Points of which albedo is the lobe's reflectance; mirror (N, 3) f4, unit, the lobe's axis, where a mirror would
+    send the path; exponent (N,) f4.
+    """
+
+    at: Points
+    mirror: F4
+    exponent: F4
+
+    @classmethod
+    def empty(cls, count: int) -> Lobes:
+        """Room for `count` lobes."""
+        return cls(Points.empty(count), _f4(count), np.empty(count, np.float32))
+
+    def first(self, count: int) -> Lobes:
+        """The first `count` lobes."""
+        return Lobes(Points(*rows(self.at, slice(0, count))), self.mirror[:count], self.exponent[:count])
+
+
 class Photons(NamedTuple):
     """Photons where they were stored.
 

@@ -24,7 +24,7 @@ METHODS: dict[str, dict[str, Any]] = {
     "path": {"indirect": "path"},
     "path, sobol": {"indirect": "path", "sampler": "sobol"},
 }
-SCENES = ["cornell-boxes", "cornell-spheres", "caustic-ring"]
+SCENES = ["cornell-boxes", "cornell-spheres", "caustic-ring", "phong-spheres"]
 Render = Callable[..., Any]
 
 

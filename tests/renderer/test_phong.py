@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from joulebox_render.kernels.lobes import phong_bounce
 from joulebox_render.kernels.rng import path_key
-from joulebox_render.kernels.transport import phong_bounce
 from joulebox_render.kernels.vector import reflected
 from joulebox_render.records import BLACK, DIFFUSE, PHONG, Photons
 from joulebox_render.stages import photon_map

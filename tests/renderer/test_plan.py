@@ -24,7 +24,7 @@ def plan_of(scene: str, **settings: Any) -> Plan:
 
 
 @pytest.mark.parametrize("indirect", INDIRECT)
-@pytest.mark.parametrize("scene", ["cornell-boxes", "point-light", "furnace", "cornell-spheres"])
+@pytest.mark.parametrize("scene", ["cornell-boxes", "point-light", "furnace", "cornell-spheres", "phong-spheres"])
 @pytest.mark.parametrize(
     "settings",
     [{}, {"sampler": "sobol", "caustic_hints": True}, {"irradiance_cache_tolerance": 0.3}],
@@ -37,7 +37,7 @@ def test_what_is_left_out_does_not_change_a_pixel(
     planned = open_session(scene, **SMALL, indirect=indirect, **settings)
     forced = open_session(scene, force_all=True, **SMALL, indirect=indirect, **settings)
     np.testing.assert_array_equal(planned.render().pixels, forced.render().pixels)
-    if scene != "cornell-spheres":
+    if not scene.endswith("spheres"):
         assert forced.plan.specular_recursion
         assert not planned.plan.specular_recursion
         assert forced.plan.caustic_map == (indirect != "path")

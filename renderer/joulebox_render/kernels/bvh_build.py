@@ -14,17 +14,6 @@ MAX_DEPTH = SAH_DEPTH + 32
 BIG, HALF = np.float32(3e38), np.float32(0.5)
 
 
-@kernel
-def bound_triangles(vertices, triangles, corner, bounds):
-    """Corners (T, 9) f4 of each triangle in a row, and its bounds (T, 6) f4: lowest x y z, highest x y z."""
-    for i in range(triangles.shape[0]):
-        for a in range(3):
-            p, q, r = vertices[triangles[i, 0], a], vertices[triangles[i, 1], a], vertices[triangles[i, 2], a]
-            corner[i, a], corner[i, 3 + a], corner[i, 6 + a] = p, q, r
-            bounds[i, a] = min(p, min(q, r))
-            bounds[i, 3 + a] = max(p, max(q, r))
-
-
 @device
 def half_area(box, row):
     """Half the surface of a box (.., 6)."""

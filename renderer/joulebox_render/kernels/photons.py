@@ -1,9 +1,10 @@
 """What a photon does where it hits: it is stored, and Russian roulette decides how it goes on."""
 
 from joulebox_render.kernels.compilation import kernel
+from joulebox_render.kernels.lobes import phong_bounce
 from joulebox_render.kernels.rng import child_key, draw_1d, draw_2d
 from joulebox_render.kernels.surface import surface_at_hit
-from joulebox_render.kernels.transport import glass_bounce, phong_bounce, push_ray
+from joulebox_render.kernels.transport import glass_bounce, push_ray
 from joulebox_render.kernels.vector import cosine_direction, reflected, row3, set_row3
 
 DIFFUSE, MIRROR, GLASS, PHONG = 0, 1, 2, 4

@@ -1,15 +1,13 @@
 """Paths from the eye and into the scene: camera rays, and what a ray does where it hits."""
 
-import math
 
 from joulebox_render.kernels.compilation import device, kernel
 from joulebox_render.kernels.importance import warp_to_cells
-from joulebox_render.kernels.rng import INDEPENDENT, SOBOL, child_key, draw_1d, draw_2d, path_key, sample_2d
+from joulebox_render.kernels.rng import child_key, draw_1d, draw_2d, path_key, sample_2d
 from joulebox_render.kernels.surface import surface_at_hit
 from joulebox_render.kernels.vector import (
     cosine_direction,
     fresnel,
-    from_frame,
     normalized,
     reflected,
     refracted,
@@ -97,60 +95,32 @@ def glass_bounce(tables, material, front, dx, dy, dz, gx, gy, gz, sx, sy, sz):
     return reflectance, rx, ry, rz, tx, ty, tz, eta
 
 
-@device
-def phong_bounce(exponent, dx, dy, dz, gx, gy, gz, sx, sy, sz, u, v):
-    """A direction from a Phong lobe and what it reflects relative to the lobe's reflectance: (direction, scale).
-
-    The density is (n + 1) / (2 pi) cos^n about the mirror direction; scale = (n + 2) / (n + 1) cos theta, 0 where
-    the lobe dips below the surface. Source: Lafortune & Willems 1994, as in Mitsuba 0.6.
-    """
-    rx, ry, rz = reflected(dx, dy, dz, sx, sy, sz)
-    cos_lobe = math.pow(1.0 - u, 1.0 / (exponent + 1.0))
-    r = math.sqrt(max(0.0, 1.0 - cos_lobe * cos_lobe))
-    phi = 2.0 * math.pi * v
-    ox, oy, oz = from_frame(rx, ry, rz, r * math.cos(phi), r * math.sin(phi), cos_lobe)
-    cos_out = ox * sx + oy * sy + oz * sz
-    if cos_out <= 0.0 or ox * gx + oy * gy + oz * gz <= 0.0:
-        return ox, oy, oz, 0.0
-    return ox, oy, oz, (exponent + 2.0) / (exponent + 1.0) * cos_out
-
-
 @kernel
-def advance(tables, split, sobol, emission, rays, hits, radiance, points, following):
+def advance(tables, split, sobol, rays, hits, points, lobes, following):
     """One step of paths through mirrors, glass and glossy lobes until they meet a diffuse surface.
 
-    split      0: a path goes one way on, chosen at random. Else glass follows both branches where they still matter,
-               a Phong surface its diffuse part and `split` rays of its lobe, and points that count for little are
-               subject to Russian roulette
-    emission   whether light emitted at these hits, and the sky where there is none, counts for the rays' owners
+    split      whether glass follows both branches where they still matter, Phong surfaces their diffuse part and their
+               lobe, and points that count for little are subject to Russian roulette; else a path goes one way on,
+               chosen at random
     rays       Rays that were traced; hits what they met
-    radiance   (owners, 3) f8, added to where `emission`
     points     Points, overwritten: the diffuse hits (weight = what they count for their owner)
-    following  Rays, overwritten (room for max(2, split) N when split): the specular paths that go on
-    Returns (points written, rays written), both in the order of the rays.
+    lobes      Lobes, overwritten: the glossy hits; no room is needed where no surface is glossy
+    following  Rays, overwritten (room for 2 N when split): the specular paths that go on
+    Returns (points written, lobes written, rays written), all in the order of the rays.
 
     Refraction scales radiance by the square of the ratio of indices (Veach 1997, section 5.2), which cancels
     for paths that leave the glass again.
     """
     epsilon = tables.epsilon[0]
-    point_count, ray_count = 0, 0
+    point_count, lobe_count, ray_count = 0, 0, 0
     for i in range(rays.origin.shape[0]):
         primitive = hits.primitive[i]
         wx, wy, wz = row3(rays.weight, i)
         owner, key, sample = rays.owner[i], rays.key[i], rays.sample[i]
         if primitive < 0:
-            if emission:
-                radiance[owner, 0] += wx * tables.sky[0]
-                radiance[owner, 1] += wy * tables.sky[1]
-                radiance[owner, 2] += wz * tables.sky[2]
             continue
         dx, dy, dz = row3(rays.direction, i)
         front, px, py, pz, gx, gy, gz, sx, sy, sz = surface_at_hit(tables, rays, hits, i, primitive)
-        light = tables.light[primitive]
-        if emission and light >= 0 and front:
-            radiance[owner, 0] += wx * tables.light_radiance[light, 0]
-            radiance[owner, 1] += wy * tables.light_radiance[light, 1]
-            radiance[owner, 2] += wz * tables.light_radiance[light, 2]
         material = tables.material[primitive]
         kind = tables.material_kind[material]
         ax, ay, az = row3(tables.material_albedo, material)
@@ -160,7 +130,7 @@ def advance(tables, split, sobol, emission, rays, hits, radiance, points, follow
                 tables, material, front, dx, dy, dz, gx, gy, gz, sx, sy, sz
             )
             weight = max(wx, wy, wz)
-            both = split > 0 and weight * min(share, 1.0 - share) > SPLIT_WEIGHT
+            both = split and weight * min(share, 1.0 - share) > SPLIT_WEIGHT
             reflect = both or draw_1d(sobol, key, sample, 0) < share
             scale = share if both else 1.0
             if reflect:
@@ -190,33 +160,25 @@ def advance(tables, split, sobol, emission, rays, hits, radiance, points, follow
         diffuse = kind == DIFFUSE
         if kind == PHONG:
             cx, cy, cz = row3(tables.material_glossy, material)
-            glossy, lobes = True, split
-            diffuse = max(ax, ay, az) > 0.0
-            if split == 0:
-                lobes = 1
-                if diffuse:
-                    chance = max(cx, cy, cz) / (max(cx, cy, cz) + max(ax, ay, az))
-                    glossy = draw_1d(sobol, key, sample, 2) < chance
-                    diffuse = not glossy
-                    scale = 1.0 / (chance if glossy else 1.0 - chance)
-                    wx, wy, wz = wx * scale, wy * scale, wz * scale
+            glossy, diffuse = True, max(ax, ay, az) > 0.0
+            if diffuse and not split:
+                chance = max(cx, cy, cz) / (max(cx, cy, cz) + max(ax, ay, az))
+                glossy = draw_1d(sobol, key, sample, 2) < chance
+                diffuse = not glossy
+                scale = 1.0 / (chance if glossy else 1.0 - chance)
+                wx, wy, wz = wx * scale, wy * scale, wz * scale
             if glossy:
-                branch = child_key(key, LOBE_BRANCH)
-                for j in range(lobes):
-                    u, v = sample_2d(branch, sample, 1, j, lobes, SOBOL if sobol else INDEPENDENT)
-                    rx, ry, rz, scale = phong_bounce(
-                        tables.material_exponent[material], dx, dy, dz, gx, gy, gz, sx, sy, sz, u, v
-                    )
-                    if scale > 0.0:
-                        scale /= lobes
-                        push_ray(
-                            following, ray_count, px + ex, py + ey, pz + ez, rx, ry, rz,
-                            wx * cx * scale, wy * cy * scale, wz * cz * scale, owner, branch, sample * lobes + j,
-                        )  # fmt: skip
-                        ray_count += 1
+                rx, ry, rz = reflected(dx, dy, dz, sx, sy, sz)
+                push_point(
+                    lobes.at, lobe_count, px + ex, py + ey, pz + ez, gx, gy, gz, sx, sy, sz, cx, cy, cz, wx, wy, wz,
+                    owner, child_key(key, LOBE_BRANCH), sample, hits.distance[i],
+                )  # fmt: skip
+                set_row3(lobes.mirror, lobe_count, rx, ry, rz)
+                lobes.exponent[lobe_count] = tables.material_exponent[material]
+                lobe_count += 1
         if diffuse:
             weight = max(wx, wy, wz)
-            if split > 0 and weight < POINT_WEIGHT:
+            if split and weight < POINT_WEIGHT:
                 if draw_1d(sobol, key, sample, 1) * POINT_WEIGHT >= weight:
                     continue
                 wx, wy, wz = wx * POINT_WEIGHT / weight, wy * POINT_WEIGHT / weight, wz * POINT_WEIGHT / weight
@@ -225,7 +187,7 @@ def advance(tables, split, sobol, emission, rays, hits, radiance, points, follow
                 ax, ay, az, wx, wy, wz, owner, key, sample, hits.distance[i],
             )  # fmt: skip
             point_count += 1
-    return point_count, ray_count
+    return point_count, lobe_count, ray_count
 
 
 @kernel
