@@ -24,7 +24,7 @@ class Settings(BaseModel):
     height: int | None = Field(None, ge=1, le=16384, description="pixels down; null: the scene's film")
     samples_per_pixel: int = Field(8, ge=1, le=65536, description="eye rays a pixel")
     jitter: bool = Field(True, description="place eye rays at random in their strata of the pixel")
-    seed: int = Field(0, ge=0, le=2**31 - 1, description="of every random choice")
+    seed: int = Field(0, ge=0, le=2**63 - 1, description="of every random choice; a whole number of up to 63 bits")
     threads: int = Field(0, ge=0, le=1024, description="worker threads; 0: one a usable core")
     exposure: float = Field(1.0, gt=0, le=1e6, description="factor on radiance for PNG pictures and differences")
 

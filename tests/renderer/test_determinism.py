@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from joulebox_render import integrator
+from joulebox_render.settings import Settings
 
 SIZE: dict[str, Any] = {
     "width": 20, "height": 13, "samples_per_pixel": 2, "shadow_rays": 5, "final_gather_rays": 7,
@@ -68,3 +69,12 @@ def test_threads_take_part(open_session: Callable[..., Any]) -> None:
     assert session.build()["threads"] == 3
     session.render()
     assert len(session.context.pool._executor._threads) == 3
+
+
+def test_every_bit_of_a_seed_counts(render: Render) -> None:
+    """From 0 to the largest of the schema, beyond what 32 bits and what a double can hold."""
+    largest = Settings.model_json_schema()["properties"]["seed"]["maximum"]
+    assert largest >= 2**53 + 100_000  # a sweep counts up from a seed that a browser can hold
+    seeds = [0, 2**31 - 1, 2**31, 2**32, 2**53, 2**53 + 1, largest - 1, largest]
+    pictures = [render("cornell-spheres", seed=seed, **SIZE, sampler="sobol").pixel_sha256 for seed in seeds]
+    assert len(set(pictures)) == len(seeds)

@@ -208,3 +208,10 @@ def test_lengths_and_angles_carry_their_unit() -> None:
             assert name.endswith("_m")
         if "[degree]" in field["description"]:
             assert name.endswith("_deg")
+
+
+def test_a_seed_out_of_range_is_refused_in_one_sentence() -> None:
+    for value, words in ((-1, "greater than or equal to 0"), (2**63, f"less than or equal to {2**63 - 1}")):
+        said = refusal(seed=value)
+        assert said.startswith(f"setting 'seed' cannot be {value}: input should be {words} (of every random choice")
+        assert "\n" not in said

@@ -23,6 +23,8 @@ from joulebox_render.kernels.vector import from_frame, reflected, row3, set_row3
 
 # Families of the samples of each light, apart from those of the diffuse points that the lobe's rays reach.
 LIGHT_BRANCH, KEPT_BRANCH = 2_000_000, 3_000_000
+# What a ray may meet instead of the row of a light.
+NO_LIGHT, SKY = -1, -2
 # Samples of a light where the lobe reflects less than this share of what it does in its middle are traced in
 # proportion to what it reflects: most lie outside a narrow lobe.
 FAINT = 0.01
@@ -157,15 +159,15 @@ def add_emission(tables, samples, rays, density, hits, radiance):
     """
     for i in range(rays.origin.shape[0]):
         primitive = hits.primitive[i]
+        light = tables.light[primitive] if primitive >= 0 else SKY
+        if light == NO_LIGHT:
+            continue
         owner = rays.owner[i]
         wx, wy, wz = row3(rays.weight, i)
-        if primitive < 0:
+        if light == SKY:
             radiance[owner, 0] += wx * tables.sky[0]
             radiance[owner, 1] += wy * tables.sky[1]
             radiance[owner, 2] += wz * tables.sky[2]
-            continue
-        light = tables.light[primitive]
-        if light < 0:
             continue
         front, _, _, _, gx, gy, gz, _, _, _ = surface_at_hit(tables, rays, hits, i, primitive)
         if not front:
