@@ -199,6 +199,27 @@ class Points(NamedTuple):
         )  # fmt: skip
 
 
+class ShadowRays(NamedTuple):
+    """Rays towards one light.
+
+    origin, direction (N, 3) f4; limit (N,) f4 [m], just short of the light; weight (N,) f4 [sr] and owner (N,) i4 as
+    in kernels.lighting.shadow_rays.
+    """
+
+    origin: F4
+    direction: F4
+    limit: F4
+    weight: F4
+    owner: I4
+
+    @classmethod
+    def empty(cls, count: int) -> ShadowRays:
+        """Room for `count` rays."""
+        return cls(
+            _f4(count), _f4(count), np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.int32)
+        )
+
+
 class Photons(NamedTuple):
     """Photons where they were stored.
 
