@@ -80,11 +80,11 @@ def make_maps(context: Context, clock: StageClock) -> Maps:
         with clock.stage("photon_map", part="construction"):
             if emission.global_photons is not None:
                 global_map = build_photon_map(
-                    emission.global_photons, emission.global_emitted, settings.global_photons
+                    emission.global_photons, emission.global_emitted, settings.global_photons, context.pool
                 )
             if emission.caustic_photons is not None:
                 caustic_map = build_photon_map(
-                    emission.caustic_photons, emission.caustic_emitted, settings.caustic_photons
+                    emission.caustic_photons, emission.caustic_emitted, settings.caustic_photons, context.pool
                 )
     if plan.shadow_photons:
         with clock.stage("photon_map", part="shadow_photons"):
