@@ -80,11 +80,11 @@ def make_maps(context: Context, clock: StageClock) -> Maps:
         with clock.stage("photon_map", part="construction"):
             if emission.global_photons is not None:
                 global_map = build_photon_map(
-                    emission.global_photons, emission.global_emitted, settings.global_photons
+                    emission.global_photons, emission.global_emitted, settings.global_photons, context.pool
                 )
             if emission.caustic_photons is not None:
                 caustic_map = build_photon_map(
-                    emission.caustic_photons, emission.caustic_emitted, settings.caustic_photons
+                    emission.caustic_photons, emission.caustic_emitted, settings.caustic_photons, context.pool
                 )
     if plan.shadow_photons:
         with clock.stage("photon_map", part="shadow_photons"):
@@ -95,9 +95,7 @@ def make_maps(context: Context, clock: StageClock) -> Maps:
     return Maps(global_map, caustic_map, irradiance, shadow_map=shadow_map)
 
 
-def render_band(
-    context: Context, camera: Camera, maps: Maps, clock: StageClock, first_pixel: int, pixels: F4
-) -> None:
+def render_band(context: Context, camera: Camera, maps: Maps, clock: StageClock, first_pixel: int, pixels: F4) -> None:
     """Render pixels from `first_pixel` on into pixels (n, 3) f4."""
     with clock.stage("direct"):
         sight = look(context, camera, first_pixel, len(pixels))

@@ -29,7 +29,7 @@ FAR = np.float32(1e30)
 
 
 def choose(wanted: str) -> str:
-    """"embree" or "bvh" for what was asked for; "auto" is Embree where embreex can be imported.
+    """ "embree" or "bvh" for what was asked for; "auto" is Embree where embreex can be imported.
 
     Raises SettingsError for anything else, and for Embree where there is none.
     """

@@ -12,6 +12,7 @@ import numpy as np
 
 from joulebox_render.errors import SceneError
 from joulebox_render.mesh_obj import MeshFile, read_obj
+from joulebox_render.mesh_ply import read_plain_ply
 from joulebox_render.records import F8, I8
 from joulebox_render.scene_transforms import fits_single, normalized, transform_normals, transform_points
 
@@ -42,7 +43,7 @@ def read_mesh(data: bytes, kind: str, file: str) -> MeshFile:
     Raises SceneError if it is not such a file, is cut off, has no triangles, or holds NaN or infinities.
     """
     try:
-        mesh = read_obj(data) if kind == "obj" else _read_ply(data)
+        mesh = read_obj(data) if kind == "obj" else read_plain_ply(data) or _read_ply(data)
     except MemoryError:
         raise SceneError(f"{file}: it asks for more memory than there is; is the file damaged?") from None
     except ValueError as error:
@@ -53,8 +54,8 @@ def read_mesh(data: bytes, kind: str, file: str) -> MeshFile:
 
 
 def _read_ply(data: bytes) -> MeshFile:
-    """Decode a PLY file, text or binary; raises ValueError."""
-    # Imported when a scene has such a file: trimesh takes most of a second to load.
+    """Decode any PLY file, text or binary; raises ValueError."""
+    # Imported when a scene has a file that is not plain: trimesh takes half a second to load.
     from trimesh.exchange.ply import load_ply
     from trimesh.geometry import triangulate_quads
 

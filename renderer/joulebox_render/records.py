@@ -220,6 +220,27 @@ class Lobes(NamedTuple):
         return Lobes(Points(*rows(self.at, slice(0, count))), self.mirror[:count], self.exponent[:count])
 
 
+class ShadowRays(NamedTuple):
+    """Rays towards one light.
+
+    origin, direction (N, 3) f4; limit (N,) f4 [m], just short of the light; weight (N,) f4 [sr] and owner (N,) i4 as
+    in kernels.lighting.shadow_rays.
+    """
+
+    origin: F4
+    direction: F4
+    limit: F4
+    weight: F4
+    owner: I4
+
+    @classmethod
+    def empty(cls, count: int) -> ShadowRays:
+        """Room for `count` rays."""
+        return cls(
+            _f4(count), _f4(count), np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.int32)
+        )
+
+
 class Photons(NamedTuple):
     """Photons where they were stored.
 
@@ -238,9 +259,7 @@ class Photons(NamedTuple):
     @classmethod
     def empty(cls, count: int) -> Photons:
         """Room for `count` photons."""
-        return cls(
-            _f4(count), _f4(count), _f4(count), _f4(count), np.empty(count, np.uint8), np.empty(count, np.int64)
-        )
+        return cls(_f4(count), _f4(count), _f4(count), _f4(count), np.empty(count, np.uint8), np.empty(count, np.int64))
 
 
 class Aim(NamedTuple):
@@ -312,9 +331,7 @@ def _f4(count: int) -> F4:
     return np.empty((count, 3), np.float32)
 
 
-def rows(
-    record: NamedTuple, selection: slice | npt.NDArray[np.integer | np.bool_]
-) -> tuple[Any, ...]:
+def rows(record: NamedTuple, selection: slice | npt.NDArray[np.integer | np.bool_]) -> tuple[Any, ...]:
     """The selected rows of every column of a record; give it to the record's class.
 
     A slice gives views of the record's own arrays, which must then not be written to.

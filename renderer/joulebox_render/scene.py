@@ -132,9 +132,7 @@ def _children(root: Element, tag: str) -> list[Element]:
     return [child for child in root.children if child.tag == tag]
 
 
-def _lone_lights(
-    root: Element, objects_by_id: Mapping[str, Element], corners: F8, notes: list[str]
-) -> list[Light]:
+def _lone_lights(root: Element, objects_by_id: Mapping[str, Element], corners: F8, notes: list[str]) -> list[Light]:
     """The point, spot and constant lights that emit anything."""
     lights: list[Light] = []
     for element in _children(root, "emitter"):

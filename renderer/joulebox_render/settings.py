@@ -77,9 +77,7 @@ class Settings(BaseModel):
     caustic_gather_distance_m: float = Field(
         0.006, gt=0, le=1e6, description="[m] caustic photons farther away do not count"
     )
-    caustic_hints: bool = Field(
-        True, description="aim the caustic map's photons at mirrors, glass and glossy surfaces"
-    )
+    caustic_hints: bool = Field(True, description="aim the caustic map's photons at mirrors, glass and glossy surfaces")
 
     sampler: Literal["independent", "stratified", "sobol"] = Field(
         "sobol", description="how samples of a pixel, a light, a hemisphere and (sobol) the photons are placed"
@@ -171,7 +169,7 @@ def read_settings_file(path: Path) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         raise SettingsError(f"settings file {path} is not valid {path.suffix[1:].upper() or 'JSON'}: {error}") from None
     if not isinstance(values, dict):
-        raise SettingsError(f"settings file {path} must hold an object of settings, such as {{\"shadow_rays\": 64}}")
+        raise SettingsError(f'settings file {path} must hold an object of settings, such as {{"shadow_rays": 64}}')
     return values
 
 

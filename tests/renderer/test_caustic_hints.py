@@ -83,7 +83,7 @@ def marked(aim: Aim, light: int) -> Any:
 
 def caustic_flux(session: Any, aim: Aim, count: int, seed: int) -> Any:
     """(count, 3) flux that each emission stores as caustic photons."""
-    photons = photon_map._trace_photons(session.context, aim, family_of(seed), 0, count)[0]
+    photons = photon_map.trace_photons(session.context, aim, family_of(seed), 0, count)
     chosen = photons.history == CAUSTIC
     return np.stack([np.bincount(photons.number[chosen], photons.flux[chosen, c], count) for c in range(3)], -1)
 

@@ -180,7 +180,7 @@ def test_a_wall_hides_its_part(make_scene: Make, render: Render, z_score: Z, sam
 def trace(session: Any, count: int) -> Photons:
     tables = session.context.tables
     family = np.uint64(path_key(3, photon_map.EMISSION_STREAM, photon_map.EVERYWHERE))
-    photons = photon_map._trace_photons(session.context, aim_everywhere(tables), family, 0, count)[0]
+    photons = photon_map.trace_photons(session.context, aim_everywhere(tables), family, 0, count)
     return Photons(*(column[photons.history == FIRST_HIT] for column in photons))
 
 

@@ -43,7 +43,7 @@ def diffuse(reflectance: str) -> str:
 def trace(session: Any, count: int = COUNT) -> Photons:
     """All photons that `count` emissions leave behind."""
     family = np.uint64(path_key(session.settings.seed, photon_map.EMISSION_STREAM, photon_map.EVERYWHERE))
-    return photon_map._trace_photons(session.context, aim_everywhere(session.context.tables), family, 0, count)[0]
+    return photon_map.trace_photons(session.context, aim_everywhere(session.context.tables), family, 0, count)
 
 
 def flux_per_emission(photons: Photons, count: int = COUNT) -> Any:

@@ -223,7 +223,7 @@ POINT = '<emitter type="point"><rgb name="intensity" value="3 2 1"/></emitter>'
 def trace(session: Any, count: int) -> Photons:
     tables = session.context.tables
     family = np.uint64(path_key(3, photon_map.EMISSION_STREAM, photon_map.EVERYWHERE))
-    return photon_map._trace_photons(session.context, aim_everywhere(tables), family, 0, count)[0]
+    return photon_map.trace_photons(session.context, aim_everywhere(tables), family, 0, count)
 
 
 @pytest.mark.parametrize("exponent", [1, 30])

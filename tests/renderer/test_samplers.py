@@ -19,7 +19,7 @@ from joulebox_render.kernels.lighting import emit_photons, shadow_rays
 from joulebox_render.kernels.rng import child_key, path_key, sample_2d, uniform
 from joulebox_render.kernels.transport import camera_rays, gather_rays
 from joulebox_render.kernels.vector import tangent_frame
-from joulebox_render.records import POINT_LIGHT, Points, Rays
+from joulebox_render.records import POINT_LIGHT, Points, Rays, ShadowRays
 from joulebox_render.scene import load_scene
 from joulebox_render.stages.aim import aim_everywhere
 from joulebox_render.stages.context import Context
@@ -216,13 +216,11 @@ def test_gather_rays_are_cosine_distributed(normal: tuple[float, float, float]) 
 def sampled_light(tables: SceneTables, count: int = 40_000) -> tuple[Any, Any, Any]:
     """Directions, distances and values of shadow rays from the floor's origin to light 0."""
     points = points_at((0, 0, 1e-5), (0, 0, 1))
-    origin, direction = np.empty((2, count, 3), np.float32)
-    limit, weight = np.empty((2, count), np.float32)
-    owner = np.empty(count, np.int32)
-    written = shadow_rays(tables, 0, count, INDEPENDENT, points, 0, 1, origin, direction, limit, weight, owner)
-    found = direction[:written].astype(np.float64)
-    value = weight[:written, None].astype(np.float64) * tables.light_radiance[0] * count
-    return found, limit[:written] / (1 - 1e-4), value
+    rays = ShadowRays.empty(count)
+    written = shadow_rays(tables, 0, count, INDEPENDENT, points, 0, 1, rays)
+    found = rays.direction[:written].astype(np.float64)
+    value = rays.weight[:written, None].astype(np.float64) * tables.light_radiance[0] * count
+    return found, rays.limit[:written] / (1 - 1e-4), value
 
 
 def test_a_rectangle_light_is_sampled_uniformly_by_area(tables_of: Callable[[str], SceneTables]) -> None:

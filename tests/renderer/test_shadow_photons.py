@@ -18,7 +18,7 @@ from joulebox_render.bench import shadow_test_report
 from joulebox_render.kernels.lighting import shadow_rays as light_rays
 from joulebox_render.kernels.shadow_photons import HIDDEN, LIT, UNKNOWN, find_cells
 from joulebox_render.plan import make_plan
-from joulebox_render.records import Points
+from joulebox_render.records import Points, ShadowRays
 from joulebox_render.scene import load_scene
 from joulebox_render.settings import make_settings
 from joulebox_render.stages.eye import look
@@ -156,16 +156,13 @@ def test_penumbrae_that_rays_find_are_left_to_rays(open_session: Open, scene: st
     count = len(points.owner)
     partly = decided = 0
     for light in range(len(context.tables.light_kind)):
-        origin, direction = np.empty((2, count * rays, 3), np.float32)
-        limit, weight = np.empty((2, count * rays), np.float32)
-        owner = np.empty(count * rays, np.int32)
-        written = light_rays(
-            context.tables, light, rays, context.columns(rays), points, 0, count,
-            origin, direction, limit, weight, owner,
-        )  # fmt: skip
-        blocked = context.intersector.occluded(origin[:written], direction[:written], limit[:written])
-        asked = np.bincount(owner[:written], minlength=count)
-        hidden = np.bincount(owner[:written], blocked, count)
+        shadow = ShadowRays.empty(count * rays)
+        written = light_rays(context.tables, light, rays, context.columns(rays), points, 0, count, shadow)
+        blocked = context.intersector.occluded(
+            shadow.origin[:written], shadow.direction[:written], shadow.limit[:written]
+        )
+        asked = np.bincount(shadow.owner[:written], minlength=count)
+        hidden = np.bincount(shadow.owner[:written], blocked, count)
         penumbra = (hidden > 0) & (hidden < asked)
         partly += int(penumbra.sum())
         decided += int((verdicts(session, points.position, light)[penumbra] != UNKNOWN).sum())

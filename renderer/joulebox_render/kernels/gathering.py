@@ -44,9 +44,7 @@ def estimate_irradiance(tree, flux, position, normal, k, reach, cos_limit, filte
     for q in range(position.shape[0]):
         x, y, z = row3(position, q)
         nx, ny, nz = row3(normal, q)
-        found = nearest_points(
-            tree, x, y, z, nx, ny, nz, cos_limit, reach * reach, k, scratch
-        )
+        found = nearest_points(tree, x, y, z, nx, ny, nz, cos_limit, reach * reach, k, scratch)
         inside, radius2 = found, np.float64(reach) * reach
         if found == k:
             inside, radius2 = k - 1, np.float64(candidate_distance2(scratch.candidates[k - 1]))

@@ -41,36 +41,45 @@ def quickselect(columns, side, order, low, high, middle):
             return
 
 
-@kernel
-def build_tree(columns, order, axis, plane, scratch):
-    """Build the tree over points given as columns (3, N) f4, widest side of the bounding box first.
+@device
+def widest_side(columns, order, low, high):
+    """Along which axis the points order[low:high] reach farthest."""
+    widest, width = 0, np.float32(-1.0)
+    for a in range(3):
+        smallest = largest = columns[a, order[low]]
+        for i in range(low + 1, high):
+            value = columns[a, order[i]]
+            smallest, largest = min(smallest, value), max(largest, value)
+        if largest - smallest > width:
+            widest, width = a, largest - smallest
+    return widest
 
-    order (N,) i4 holds 0..N-1 and is permuted into the tree's order; axis (nodes,) i1 and plane (nodes,) f4 are
-    overwritten, axis -1 marking a leaf. Ties of coordinates are split by position, so any points may coincide.
+
+@kernel
+def build_tree(columns, order, axis, plane, root, first, last, levels, scratch):
+    """Build `levels` levels of the subtree of node `root`, or all there are, over the points order[first:last].
+
+    columns (3, N) f4 holds the points; order (N,) i4, 0..N-1 at first, is permuted into the tree's order; axis
+    (nodes,) i1 and plane (nodes,) f4 of the nodes are overwritten, axis -1 marking a leaf. The widest side of the
+    bounding box is split first. Ties of coordinates are split by position, so any points may coincide.
     """
-    scratch.node[0], scratch.low[0], scratch.high[0] = 0, 0, order.shape[0]
-    size = 1
+    scratch.node[0], scratch.low[0], scratch.high[0] = root, first, last
+    size, end = 1, ((root + 1) << levels) - 1
     while size:
         size -= 1
         node, low, high = scratch.node[size], scratch.low[size], scratch.high[size]
         if high - low <= LEAF:
             axis[node] = -1
             continue
-        widest, width = 0, np.float32(-1.0)
-        for a in range(3):
-            smallest = largest = columns[a, order[low]]
-            for i in range(low + 1, high):
-                value = columns[a, order[i]]
-                smallest, largest = min(smallest, value), max(largest, value)
-            if largest - smallest > width:
-                widest, width = a, largest - smallest
+        widest = widest_side(columns, order, low, high)
         middle = (low + high) // 2
         quickselect(columns, widest, order, low, high, middle)
         axis[node] = widest
         plane[node] = columns[widest, order[middle]]
-        scratch.node[size], scratch.low[size], scratch.high[size] = 2 * node + 1, low, middle
-        scratch.node[size + 1], scratch.low[size + 1], scratch.high[size + 1] = 2 * node + 2, middle, high
-        size += 2
+        if 2 * node + 1 < end:
+            scratch.node[size], scratch.low[size], scratch.high[size] = 2 * node + 1, low, middle
+            scratch.node[size + 1], scratch.low[size + 1], scratch.high[size + 1] = 2 * node + 2, middle, high
+            size += 2
 
 
 @device

@@ -14,6 +14,10 @@ LIGHT_BRANCH, CLOSE_BRANCH = 1000, 1_000_000
 # Samples of a flat light that bring more than this many times a whole sky of its radiance are left to rays by cosine,
 # whose every hit brings one sky: near a light and where lights meet, the inverse square has no bound.
 CLOSE = 2.0
+# Shadow rays end this share of their length before the light. Squares of distances are not taken for less [m^2].
+SHORT, NEAREST2 = np.float32(1.0 - 1e-4), np.float32(1e-30)
+# In single precision: with Python's numbers numba would go over to double.
+ZERO, ONE = np.float32(0.0), np.float32(1.0)
 # How far away the environment is taken to be [m].
 SKY_DISTANCE = 1e30
 # Directions of emission that photons can be aimed at: cells of equal probability.
@@ -151,57 +155,147 @@ def light_sample(tables, light, px, py, pz, u, v):
     return dx, dy, dz, distance, max(0.0, cos_light) * tables.light_area[light] * inverse * inverse
 
 
-@kernel
-def shadow_rays(tables, light, count, columns, points, first, last, origin, direction, limit, weight, owner):
-    """Shadow rays from points [first, last) to stratified samples of one light; returns how many were written.
+@device
+def light_faces(tables, light, points, row):
+    """Whether any of a light may shine on a point, as far as the planes of both tell."""
+    kind = tables.light_kind[light]
+    if kind != RECTANGLE_LIGHT and kind != DISK_LIGHT:
+        return True
+    px, py, pz = row3(points.position, row)
+    cx, cy, cz = row3(tables.light_position, light)
+    lx, ly, lz = row3(tables.light_normal, light)
+    dx, dy, dz = cx - px, cy - py, cz - pz
+    if dx * lx + dy * ly + dz * lz >= 0.0:
+        return False
+    nx, ny, nz = row3(points.normal, row)
+    ux, uy, uz = row3(tables.light_edge_u, light)
+    vx, vy, vz = row3(tables.light_edge_v, light)
+    # How high the highest corner stands above the point's horizon.
+    return dx * nx + dy * ny + dz * nz + abs(ux * nx + uy * ny + uz * nz) + abs(vx * nx + vy * ny + vz * nz) > 0.0
 
-    Only samples that would light the point, and are not CLOSE, are written. weight (N,) f4 [sr] times the light's
-    radiance and the point's albedo is what each reflects if nothing blocks it, already divided by pi and `count`;
-    owner (N,) i4 is the point's row, counted from `first`. limit (N,) f4 stops just short of the light [m].
+
+@device
+def samples_in_a_row(points, row, last):
+    """End of the points from `row` on that are paths of one family following each other: those of one pixel."""
+    end = row + 1
+    while end < last and points.key[end] == points.key[row] and points.sample[end] - points.sample[row] == end - row:
+        end += 1
+    return end
+
+
+@device
+def rectangle_frame(tables, light, points, row):
+    """A rectangle seen from a point: vector to its first corner, its two edges, and area times height over its plane.
+
+    In single precision, as all that is made of them for every sample.
     """
-    written, share = 0, 1.0 / (math.pi * count)
-    for row in range(first, last):
-        px, py, pz = row3(points.position, row)
-        nx, ny, nz = row3(points.normal, row)
-        gx, gy, gz = row3(points.geometric, row)
-        # Samples wait where their rays' own numbers will be written, which no ray reaches before it is read.
-        begin = written
-        key = child_key(points.key[row], LIGHT_BRANCH + light)
-        fill_2d(key, points.sample[row], 1, count, columns, limit, weight, begin)
-        for i in range(begin, begin + count):
-            u, v = limit[i], weight[i]
-            if tables.light_kind[light] == ENVIRONMENT:
-                dx, dy, dz = cosine_direction(nx, ny, nz, u, v)
-                distance, scale = SKY_DISTANCE, math.pi / max(1e-6, dx * nx + dy * ny + dz * nz)
-            else:
-                dx, dy, dz, distance, scale = light_sample(tables, light, px, py, pz, u, v)
-            cos_point = dx * nx + dy * ny + dz * nz
-            if scale <= 0.0 or cos_point <= 0.0 or dx * gx + dy * gy + dz * gz <= 0.0:
-                continue
-            if tables.light_close[light] > 0.0 and scale * cos_point > math.pi * CLOSE:
-                continue
-            set_row3(origin, written, px, py, pz)
-            set_row3(direction, written, dx, dy, dz)
-            limit[written] = distance * (1.0 - 1e-4)
-            weight[written] = scale * cos_point * share
-            owner[written] = row - first
+    px, py, pz = row3(points.position, row)
+    cx, cy, cz = row3(tables.light_position, light)
+    lx, ly, lz = row3(tables.light_normal, light)
+    ux, uy, uz = row3(tables.light_edge_u, light)
+    vx, vy, vz = row3(tables.light_edge_v, light)
+    dx, dy, dz = cx - px, cy - py, cz - pz
+    height = -(dx * lx + dy * ly + dz * lz)
+    return (
+        dx - ux - vx, dy - uy - vy, dz - uz - vz, ux + ux, uy + uy, uz + uz, vx + vx, vy + vy, vz + vz,
+        height * tables.light_area[light],
+    )  # fmt: skip
+
+
+@device
+def rectangle_rays(tables, light, points, row, first, begin, end, written, share, most, shadow):
+    """Shadow rays of samples [begin, end) of a rectangle, from `written` on; returns how many there are then.
+
+    What a sample brings is the height of the point above the light times that of the sample above the point over the
+    fourth power of the distance. All rays are written and those that do not count overwritten: asking before would
+    cost more by branches that are mispredicted.
+    """
+    ox, oy, oz, ux, uy, uz, vx, vy, vz, scale = rectangle_frame(tables, light, points, row)
+    px, py, pz = row3(points.position, row)
+    nx, ny, nz = row3(points.normal, row)
+    gx, gy, gz = row3(points.geometric, row)
+    scale *= share
+    for i in range(begin, end):
+        u, v = shadow.limit[i], shadow.weight[i]
+        dx, dy, dz = ox + u * ux + v * vx, oy + u * uy + v * vy, oz + u * uz + v * vz
+        d2 = max(dx * dx + dy * dy + dz * dz, NEAREST2)
+        inverse2 = ONE / d2
+        inverse = math.sqrt(inverse2)
+        weight = (dx * nx + dy * ny + dz * nz) * inverse2 * (scale * inverse2)
+        set_row3(shadow.origin, written, px, py, pz)
+        set_row3(shadow.direction, written, dx * inverse, dy * inverse, dz * inverse)
+        shadow.limit[written], shadow.weight[written], shadow.owner[written] = d2 * inverse * SHORT, weight, row - first
+        written += (weight > ZERO) & (weight <= most) & (dx * gx + dy * gy + dz * gz > ZERO)
+    return written
+
+
+@device
+def light_rays(tables, light, points, row, first, begin, end, written, share, most, shadow):
+    """As `rectangle_rays`, of a light of any kind."""
+    px, py, pz = row3(points.position, row)
+    nx, ny, nz = row3(points.normal, row)
+    gx, gy, gz = row3(points.geometric, row)
+    for i in range(begin, end):
+        u, v = shadow.limit[i], shadow.weight[i]
+        if tables.light_kind[light] == ENVIRONMENT:
+            dx, dy, dz = cosine_direction(nx, ny, nz, u, v)
+            distance, scale = SKY_DISTANCE, math.pi / max(1e-6, dx * nx + dy * ny + dz * nz)
+        else:
+            dx, dy, dz, distance, scale = light_sample(tables, light, px, py, pz, u, v)
+        weight = scale * (dx * nx + dy * ny + dz * nz) * share
+        if weight > 0.0 and weight <= most and dx * gx + dy * gy + dz * gz > 0.0:
+            set_row3(shadow.origin, written, px, py, pz)
+            set_row3(shadow.direction, written, dx, dy, dz)
+            shadow.limit[written], shadow.weight[written], shadow.owner[written] = distance * SHORT, weight, row - first
             written += 1
     return written
 
 
 @kernel
-def add_unblocked(tables, light, points, first, blocked, weight, owner, radiance):
-    """Add what unblocked rays to a light carry to their owners; radiance (P, 3) f8 is added to in ray order.
+def shadow_rays(tables, light, count, columns, points, first, last, shadow):
+    """Shadow rays from points [first, last) to stratified samples of one light; returns how many were written.
+
+    Only samples that would light the point, and are not CLOSE, are written into shadow (ShadowRays, overwritten):
+    weight times the light's radiance and the point's albedo is what each reflects if nothing blocks it, already
+    divided by pi and `count`; owner is the point's row, counted from `first`; limit stops just short of the light.
+    """
+    share = np.float32(1.0 / (math.pi * count))
+    most = np.float32(CLOSE / count if tables.light_close[light] > 0.0 else math.inf)
+    written, row = 0, first
+    while row < last:
+        if not light_faces(tables, light, points, row):
+            row += 1
+            continue
+        end, begin = samples_in_a_row(points, row, last), written
+        # Samples wait where their rays' own numbers will be written, which no ray reaches before it is read.
+        key = child_key(points.key[row], LIGHT_BRANCH + light)
+        fill_2d(key, points.sample[row], 1, end - row, count, columns, shadow.limit, shadow.weight, begin)
+        while row < end:
+            if tables.light_kind[light] == RECTANGLE_LIGHT:
+                written = rectangle_rays(
+                    tables, light, points, row, first, begin, begin + count, written, share, most, shadow
+                )
+            else:
+                written = light_rays(
+                    tables, light, points, row, first, begin, begin + count, written, share, most, shadow
+                )
+            row, begin = row + 1, begin + count
+    return written
+
+
+@kernel
+def add_unblocked(tables, light, points, first, blocked, shadow, radiance):
+    """Add what unblocked shadow rays to a light carry to their owners; radiance (P, 3) f8 is added to in ray order.
 
     Rays of one owner follow each other; owner counts points from `first`.
     """
     lx, ly, lz = row3(tables.light_radiance, light)
     i, count = 0, blocked.shape[0]
     while i < count:
-        point, total = owner[i], 0.0
-        while i < count and owner[i] == point:
+        point, total = shadow.owner[i], 0.0
+        while i < count and shadow.owner[i] == point:
             if not blocked[i]:
-                total += weight[i]
+                total += shadow.weight[i]
             i += 1
         ax, ay, az = row3(points.albedo, first + point)
         radiance[point, 0] += ax * lx * total
@@ -232,7 +326,7 @@ def cosine_rays(points, row, light, count, columns, u, v, rays):
         px, py, pz = row3(points.position, row[i])
         nx, ny, nz = row3(points.normal, row[i])
         key = child_key(points.key[row[i]], CLOSE_BRANCH + light)
-        fill_2d(key, points.sample[row[i]], 1, count, columns, u, v, i * count)
+        fill_2d(key, points.sample[row[i]], 1, 1, count, columns, u, v, i * count)
         for out in range(i * count, (i + 1) * count):
             dx, dy, dz = cosine_direction(nx, ny, nz, u[out], v[out])
             set_row3(rays.origin, out, px, py, pz)

@@ -110,13 +110,13 @@ def light_density(tables, light, px, py, pz, distance, cos_light):
 
 
 @kernel
-def lobe_shadow_rays(tables, light, count, fan, columns, lobes, first, last, origin, direction, limit, weight, owner):
+def lobe_shadow_rays(tables, light, count, fan, columns, lobes, first, last, shadow):
     """As lighting.shadow_rays for the lobes [first, last), each followed by `fan` rays besides; not for the sky.
 
-    Only samples that the lobe reflects are written, and of those that are FAINT a part. weight (N,) f4 times the
-    light's radiance and the lobe's albedo is what each reflects, as its share between samples and rays of the lobe.
+    Only samples that the lobe reflects are written into shadow (ShadowRays), and of those that are FAINT a part. weight
+    times the light's radiance and the lobe's albedo is what each reflects, as its share between samples and rays of the lobe.
     """
-    written = 0
+    written, limit, weight = 0, shadow.limit, shadow.weight
     # Rays cannot meet a point.
     met = 0.0 if tables.light_kind[light] in (POINT_LIGHT, SPOT_LIGHT) else np.float64(fan)
     for row in range(first, last):
@@ -127,7 +127,7 @@ def lobe_shadow_rays(tables, light, count, fan, columns, lobes, first, last, ori
         exponent = np.float64(lobes.exponent[row])
         # Samples wait where their rays' own numbers will be written, which no ray reaches before it is read.
         begin, key = written, lobes.at.key[row]
-        fill_2d(child_key(key, LIGHT_BRANCH + light), lobes.at.sample[row], 1, count, columns, limit, weight, begin)
+        fill_2d(child_key(key, LIGHT_BRANCH + light), lobes.at.sample[row], 1, 1, count, columns, limit, weight, begin)
         path = member_key(child_key(key, KEPT_BRANCH + light), lobes.at.sample[row])
         for i in range(begin, begin + count):
             u, v = limit[i], weight[i]
@@ -139,13 +139,13 @@ def lobe_shadow_rays(tables, light, count, fan, columns, lobes, first, last, ori
             if power < FAINT and uniform(path, i - begin) * FAINT >= power:
                 continue
             own = met * (exponent + 1.0) / (2.0 * math.pi) * power
-            set_row3(origin, written, px, py, pz)
-            set_row3(direction, written, dx, dy, dz)
+            set_row3(shadow.origin, written, px, py, pz)
+            set_row3(shadow.direction, written, dx, dy, dz)
             limit[written] = distance * (1.0 - 1e-4)
             # What chance kept stands for what it did not.
             value = (exponent + 2.0) / (2.0 * math.pi) * max(power, FAINT)
             weight[written] = value * cos_point / (count / scale + own)
-            owner[written] = row - first
+            shadow.owner[written] = row - first
             written += 1
     return written
 

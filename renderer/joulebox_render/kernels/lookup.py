@@ -136,9 +136,7 @@ def aim_feelers(tree, row, position, normal, lift, length, origin, direction, li
 
 
 @kernel
-def look_up_irradiance(
-    table, tree, records, doubtful, position, normal, reach, cos_limit, scratch, irradiance, unsure
-):
+def look_up_irradiance(table, tree, records, doubtful, position, normal, reach, cos_limit, scratch, irradiance, unsure):
     """Irradiance of each point's cell, or of the record nearest to it where the table has no such cell.
 
     irradiance (Q, 3) f4 [W m^-2] and unsure (Q,) u1 are overwritten; unsure is 1 where the cell is, or there is none;

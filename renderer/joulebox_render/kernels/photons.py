@@ -1,6 +1,8 @@
 """What a photon does where it hits: it is stored, and Russian roulette decides how it goes on."""
 
-from joulebox_render.kernels.compilation import kernel
+import numpy as np
+
+from joulebox_render.kernels.compilation import device, kernel
 from joulebox_render.kernels.lobes import phong_bounce
 from joulebox_render.kernels.rng import child_key, draw_1d, draw_2d
 from joulebox_render.kernels.surface import surface_at_hit
@@ -11,10 +13,63 @@ DIFFUSE, MIRROR, GLASS, PHONG = 0, 1, 2, 4
 FIRST_HIT, CAUSTIC, BOUNCED = 0, 1, 2
 
 
+@device
+def store_photon(stored, row, px, py, pz, sx, sy, sz, wx, wy, wz, fx, fy, fz, history, number):
+    """Write one photon into row `row`: position, shading normal, where it came from, flux."""
+    set_row3(stored.position, row, px, py, pz)
+    set_row3(stored.normal, row, sx, sy, sz)
+    set_row3(stored.wi, row, wx, wy, wz)
+    set_row3(stored.flux, row, fx, fy, fz)
+    stored.history[row], stored.number[row] = history, number
+
+
+@device
+def specular_bounce(tables, material, sobol, key, number, dx, dy, dz, gx, gy, gz, sx, sy, sz):
+    """How a photon leaves a mirror or a glossy lobe: direction, and what of each channel goes there."""
+    kind = tables.material_kind[material]
+    if kind == MIRROR:
+        rx, ry, rz = reflected(dx, dy, dz, sx, sy, sz)
+        cx, cy, cz = row3(tables.material_albedo, material)
+        return rx, ry, rz, cx, cy, cz
+    if kind != PHONG:
+        return dx, dy, dz, np.float32(0.0), np.float32(0.0), np.float32(0.0)
+    u, v = draw_2d(sobol, key, number, 3)
+    rx, ry, rz, scale = phong_bounce(tables.material_exponent[material], dx, dy, dz, gx, gy, gz, sx, sy, sz, u, v)
+    cx, cy, cz = row3(tables.material_glossy, material)
+    return rx, ry, rz, cx * scale, cy * scale, cz * scale
+
+
+@device
+def diffuse_albedo(tables, material):
+    """What of each channel a surface that is not glass reflects diffusely."""
+    if tables.material_kind[material] == MIRROR:
+        return np.float32(0.0), np.float32(0.0), np.float32(0.0)
+    return row3(tables.material_albedo, material)
+
+
+@device
+def shows_photons(tables, material):
+    """Whether light on a surface can be seen from anywhere: it is diffuse, or Phong with a diffuse part."""
+    kind = tables.material_kind[material]
+    ax, ay, az = row3(tables.material_albedo, material)
+    return kind == DIFFUSE or (kind == PHONG and max(ax, ay, az) > 0.0)
+
+
+@device
+def glass_direction(tables, material, front, choice, dx, dy, dz, gx, gy, gz, sx, sy, sz):
+    """Where a photon goes on from glass, by Fresnel reflectance, and on which side of it: 1 reflected, -1 refracted."""
+    share, rx, ry, rz, tx, ty, tz, _ = glass_bounce(tables, material, front, dx, dy, dz, gx, gy, gz, sx, sy, sz)
+    if choice >= share:
+        return tx, ty, tz, -1.0
+    return rx, ry, rz, 1.0
+
+
 @kernel
-def scatter(tables, store_at_every_bounce, sobol, rays, history, hits, stored, following, following_history):
+def scatter(tables, store_at_every_bounce, sobol, wanted, rays, history, hits, stored, following, following_history):
     """Store photons at diffuse hits and scatter them by Russian roulette.
 
+    wanted     (3,) u1: whether photons of each history are stored; where BOUNCED ones are not, none is followed
+               after a diffuse bounce
     rays       Rays; weight is the photon's flux [W] before division by the number emitted, sample its number
     history    (N,) u1: FIRST_HIT as emitted, CAUSTIC after specular and glossy bounces alone, BOUNCED after a
                diffuse one
@@ -37,72 +92,49 @@ def scatter(tables, store_at_every_bounce, sobol, rays, history, hits, stored, f
         dx, dy, dz = row3(rays.direction, i)
         front, px, py, pz, gx, gy, gz, sx, sy, sz = surface_at_hit(tables, rays, hits, i, primitive)
         material = tables.material[primitive]
-        kind = tables.material_kind[material]
+        glass = tables.material_kind[material] == GLASS
+        if not (front or glass or tables.material_two_sided[material]):
+            continue
         key, number = rays.key[i], rays.sample[i]
-        ex, ey, ez = epsilon * gx, epsilon * gy, epsilon * gz
-        specular_history = CAUSTIC if history[i] == FIRST_HIT else history[i]
         choice = draw_1d(sobol, key, number, 0)
-        if kind == GLASS:
-            share, rx, ry, rz, tx, ty, tz, _ = glass_bounce(
-                tables, material, front, dx, dy, dz, gx, gy, gz, sx, sy, sz
+        side, going = epsilon, CAUSTIC if history[i] == FIRST_HIT else history[i]
+        if glass:
+            rx, ry, rz, turn = glass_direction(tables, material, front, choice, dx, dy, dz, gx, gy, gz, sx, sy, sz)
+            side *= turn
+        else:
+            ax, ay, az = diffuse_albedo(tables, material)
+            rx, ry, rz, cx, cy, cz = specular_bounce(
+                tables, material, sobol, key, number, dx, dy, dz, gx, gy, gz, sx, sy, sz
             )
-            side = 1.0
-            if choice >= share:
-                rx, ry, rz, side = tx, ty, tz, -1.0
-            push_ray(
-                following, ray_count, px + side * ex, py + side * ey, pz + side * ez, rx, ry, rz,
-                fx, fy, fz, 0, child_key(key, 0), number,
-            )  # fmt: skip
-            following_history[ray_count] = specular_history
-            ray_count += 1
-            continue
-        if not (front or tables.material_two_sided[material]):
-            continue
-        ax, ay, az = row3(tables.material_albedo, material)
-        cx, cy, cz = row3(tables.material_glossy, material)
-        # Chances to go on from the diffuse part and from the mirror or lobe; what is left is absorbed.
-        diffuse, specular = (fx * ax + fy * ay + fz * az) / flux, 0.0
-        rx, ry, rz = dx, dy, dz
-        if kind == MIRROR:
-            cx, cy, cz = ax, ay, az
-            diffuse, specular = 0.0, diffuse
-            rx, ry, rz = reflected(dx, dy, dz, sx, sy, sz)
-        elif kind == PHONG:
-            u, v = draw_2d(sobol, key, number, 3)
-            rx, ry, rz, scale = phong_bounce(
-                tables.material_exponent[material], dx, dy, dz, gx, gy, gz, sx, sy, sz, u, v
-            )
-            cx, cy, cz = cx * scale, cy * scale, cz * scale
-            specular = (fx * cx + fy * cy + fz * cz) / flux
-            # A lobe can reflect more into one direction than arrives; the excess goes into the flux.
+            # Chances to go on from the diffuse part and from the mirror or lobe; what is left is absorbed. A lobe can
+            # reflect more into one direction than arrives; the excess goes into the flux.
+            diffuse, specular = (fx * ax + fy * ay + fz * az) / flux, (fx * cx + fy * cy + fz * cz) / flux
             excess = max(1.0, diffuse + specular)
             diffuse, specular = diffuse / excess, specular / excess
-        absorbed = 1.0 - diffuse - specular
-        shows = kind == DIFFUSE or (kind == PHONG and max(ax, ay, az) > 0.0)
-        if shows and (store_at_every_bounce or (choice >= diffuse + specular and absorbed > 0.0)):
-            scale = 1.0 if store_at_every_bounce else 1.0 / absorbed
-            set_row3(stored.position, stored_count, px, py, pz)
-            set_row3(stored.normal, stored_count, sx, sy, sz)
-            set_row3(stored.wi, stored_count, -dx, -dy, -dz)
-            set_row3(stored.flux, stored_count, fx * scale, fy * scale, fz * scale)
-            stored.history[stored_count] = history[i]
-            stored.number[stored_count] = number
-            stored_count += 1
-        if choice < diffuse:
-            u, v = draw_2d(sobol, key, number, 1)
-            rx, ry, rz = cosine_direction(sx, sy, sz, u, v)
-            if rx * gx + ry * gy + rz * gz > 0.0:
-                push_ray(
-                    following, ray_count, px + ex, py + ey, pz + ez, rx, ry, rz,
-                    fx * ax / diffuse, fy * ay / diffuse, fz * az / diffuse, 0, child_key(key, 0), number,
+            goes_on = choice < diffuse + specular
+            stays = store_at_every_bounce or (not goes_on and diffuse + specular < 1.0)
+            if stays and wanted[history[i]] and shows_photons(tables, material):
+                scale = 1.0 if store_at_every_bounce else 1.0 / (1.0 - diffuse - specular)
+                store_photon(
+                    stored, stored_count, px, py, pz, sx, sy, sz, -dx, -dy, -dz,
+                    fx * scale, fy * scale, fz * scale, history[i], number,
                 )  # fmt: skip
-                following_history[ray_count] = BOUNCED
-                ray_count += 1
-        elif choice < diffuse + specular:
-            push_ray(
-                following, ray_count, px + ex, py + ey, pz + ez, rx, ry, rz,
-                fx * cx / specular, fy * cy / specular, fz * cz / specular, 0, child_key(key, 0), number,
-            )  # fmt: skip
-            following_history[ray_count] = specular_history
-            ray_count += 1
+                stored_count += 1
+            if not goes_on:
+                continue
+            if choice < diffuse:
+                u, v = draw_2d(sobol, key, number, 1)
+                rx, ry, rz = cosine_direction(sx, sy, sz, u, v)
+                if not wanted[BOUNCED] or rx * gx + ry * gy + rz * gz <= 0.0:
+                    continue
+                going = BOUNCED
+                fx, fy, fz = fx * ax / diffuse, fy * ay / diffuse, fz * az / diffuse
+            else:
+                fx, fy, fz = fx * cx / specular, fy * cy / specular, fz * cz / specular
+        push_ray(
+            following, ray_count, px + side * gx, py + side * gy, pz + side * gz, rx, ry, rz,
+            fx, fy, fz, 0, child_key(key, 0), number,
+        )  # fmt: skip
+        following_history[ray_count] = going
+        ray_count += 1
     return stored_count, ray_count

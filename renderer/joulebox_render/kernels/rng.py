@@ -18,10 +18,10 @@ _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX_2 = np.uint64(0x94D049BB133111EB)
 _S30, _S27, _S31, _S11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11)
 _ONE = np.uint64(1)
-_S2, _S4, _S8, _S16, _S32 = np.uint64(2), np.uint64(4), np.uint64(8), np.uint64(16), np.uint64(32)
-_LOW = np.uint64(0xFFFFFFFF)
+_S32 = np.uint64(32)
+_HALF, _LOWEST = np.uint32(16), np.uint32(1)
 _TO_UNIT = 2.0**-53
-_TO_UNIT_32 = 2.0**-32
+_TO_UNIT_32 = np.float32(2.0**-32)
 # The largest number below 1 in single precision.
 BELOW_ONE = np.float32(1.0 - 2.0**-24)
 # What `columns` says of samples that are in no grid.
@@ -64,57 +64,64 @@ def uniform(key, dimension):
 
 @intrinsic
 def _bitreverse(_typing, _bits):
-    """LLVM's reversal of 64 bits; shifts and masks written out take twice as long."""
+    """LLVM's reversal of 32 bits; shifts and masks written out take twice as long."""
 
     def generate(_context, builder, _signature, arguments):
         return builder.bitreverse(arguments[0])
 
-    return types.uint64(types.uint64), generate
+    return types.uint32(types.uint32), generate
 
 
 @device
 def reverse_bits(bits):
     """The 32 low bits in the opposite order."""
-    return _bitreverse(np.uint64(bits)) >> _S32
+    return _bitreverse(np.uint32(bits))
 
 
 @device
 def low_to_high(bits, seed):
-    """Hash in which each bit depends on lower bits alone; only the 32 low bits of the result mean anything.
+    """Hash of 32 bits in which each bit depends on lower bits alone; on reversed bits it is Owen's scrambling.
 
-    On reversed bits it is Owen's scrambling. Source: Laine & Karras 2011; constants of Vegdahl 2021.
+    Everything is cut to 32 bits at once, so that loops over samples do eight at a time. Source: Laine & Karras 2011;
+    constants of Vegdahl 2021.
     """
-    x = np.uint64(bits)
-    x ^= x * np.uint64(0x3D20ADEA)
-    x += np.uint64(seed)
-    x *= (np.uint64(seed) >> _S16) | _ONE
-    x ^= x * np.uint64(0x05526C56)
-    x ^= x * np.uint64(0x53A22864)
-    return x
+    x = np.uint32(bits)
+    x = np.uint32(x ^ np.uint32(x * np.uint32(0x3D20ADEA)))
+    x = np.uint32(x + seed)
+    x = np.uint32(x * np.uint32((seed >> _HALF) | _LOWEST))
+    x = np.uint32(x ^ np.uint32(x * np.uint32(0x05526C56)))
+    return np.uint32(x ^ np.uint32(x * np.uint32(0x53A22864)))
 
 
 @device
 def sobol_second(index):
     """Bits of the Sobol sequence's second dimension, lowest bit first: Pascal's triangle modulo 2 times the index."""
-    x = np.uint64(index)
-    x ^= (x >> _ONE) & np.uint64(0x55555555)
-    x ^= (x >> _S2) & np.uint64(0x33333333)
-    x ^= (x >> _S4) & np.uint64(0x0F0F0F0F)
-    x ^= (x >> _S8) & np.uint64(0x00FF00FF)
-    return x ^ ((x >> _S16) & np.uint64(0xFFFF))
+    x = np.uint32(index)
+    x = np.uint32(x ^ ((x >> np.uint32(1)) & np.uint32(0x55555555)))
+    x = np.uint32(x ^ ((x >> np.uint32(2)) & np.uint32(0x33333333)))
+    x = np.uint32(x ^ ((x >> np.uint32(4)) & np.uint32(0x0F0F0F0F)))
+    x = np.uint32(x ^ ((x >> np.uint32(8)) & np.uint32(0x00FF00FF)))
+    return np.uint32(x ^ (x >> _HALF))
+
+
+@device
+def sobol_bits(key, index):
+    """Point `index` of an Owen-scrambled Sobol sequence in the unit square, as two numbers of 32 bits.
+
+    The key also shuffles the order. Any aligned run of 2^k indices is a (0, k, 2)-net. Sequences of different keys are
+    independent of each other (Burley 2020, "Practical hash-based Owen scrambling").
+    """
+    seeds, more = mix(key + _MIX_1), mix(key + _MIX_2)
+    shuffled = reverse_bits(low_to_high(reverse_bits(index), np.uint32(seeds)))
+    u = reverse_bits(low_to_high(shuffled, np.uint32(seeds >> _S32)))
+    v = reverse_bits(low_to_high(sobol_second(shuffled), np.uint32(more)))
+    return u, v
 
 
 @device
 def sobol_2d(key, index):
-    """Point `index` of an Owen-scrambled Sobol sequence in the unit square; the key also shuffles the order.
-
-    Any aligned run of 2^k indices is a (0, k, 2)-net. Sequences of different keys are independent of each other
-    (Burley 2020, "Practical hash-based Owen scrambling").
-    """
-    seeds, more = mix(key + _MIX_1), mix(key + _MIX_2)
-    shuffled = reverse_bits(low_to_high(reverse_bits(index), seeds & _LOW))
-    u = reverse_bits(low_to_high(shuffled, seeds >> _S32))
-    v = reverse_bits(low_to_high(sobol_second(shuffled), more & _LOW))
+    """`sobol_bits` as numbers in [0, 1)."""
+    u, v = sobol_bits(key, index)
     return np.float64(u) * _TO_UNIT_32, np.float64(v) * _TO_UNIT_32
 
 
@@ -160,18 +167,26 @@ def sample_2d(key, sample, dimension, i, count, columns):
 
 
 @device
-def fill_2d(key, sample, dimension, count, columns, u, v, first):
+def fill_2d(key, sample, dimension, paths, count, columns, u, v, first):
     """All `count` points of sample_2d at once, into u and v (N,) f4 from `first` on, below 1.
 
-    A loop of its own per kind of sampler: without branches and divisions inside it takes a quarter of the time.
+    Those of `paths` paths, number `sample` and the next ones, follow each other. A loop of its own per kind of sampler:
+    without branches and divisions inside it takes a quarter of the time, a loop over all paths half of that.
     """
     if columns == SOBOL:
         base, start = child_key(key, dimension), sample * count
-        for i in range(count):
-            a, b = sobol_2d(base, start + i)
-            u[first + i], v[first + i] = min(a, BELOW_ONE), min(b, BELOW_ONE)
+        for i in range(paths * count):
+            a, b = sobol_bits(base, start + i)
+            u[first + i] = min(np.float32(a) * _TO_UNIT_32, BELOW_ONE)
+            v[first + i] = min(np.float32(b) * _TO_UNIT_32, BELOW_ONE)
         return
-    path = member_key(key, sample)
+    for path in range(paths):
+        fill_cells(member_key(key, sample + path), dimension, count, columns, u, v, first + path * count)
+
+
+@device
+def fill_cells(path, dimension, count, columns, u, v, first):
+    """The part of `fill_2d` for one path and samplers other than Sobol's."""
     for i in range(count):
         u[first + i] = min(uniform(path, dimension + 2 * i), BELOW_ONE)
         v[first + i] = min(uniform(path, dimension + 2 * i + 1), BELOW_ONE)

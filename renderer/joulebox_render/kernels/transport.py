@@ -1,6 +1,5 @@
 """Paths from the eye and into the scene: camera rays, and what a ray does where it hits."""
 
-
 from joulebox_render.kernels.compilation import device, kernel
 from joulebox_render.kernels.importance import warp_to_cells
 from joulebox_render.kernels.rng import child_key, draw_1d, draw_2d, path_key, sample_2d
@@ -35,9 +34,7 @@ def push_ray(rays, row, px, py, pz, dx, dy, dz, wx, wy, wz, owner, key, sample):
 
 
 @device
-def push_point(
-    points, row, px, py, pz, gx, gy, gz, sx, sy, sz, ax, ay, az, wx, wy, wz, owner, key, sample, distance
-):
+def push_point(points, row, px, py, pz, gx, gy, gz, sx, sy, sz, ax, ay, az, wx, wy, wz, owner, key, sample, distance):
     """Write one diffuse point into row `row`: position, geometric and shading normal, albedo, weight."""
     set_row3(points.position, row, px, py, pz)
     set_row3(points.geometric, row, gx, gy, gz)

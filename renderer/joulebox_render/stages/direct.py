@@ -8,7 +8,7 @@ import numpy as np
 
 from joulebox_render.kernels.lighting import add_close, add_unblocked, close_points, cosine_rays, shadow_rays
 from joulebox_render.kernels.shadow_photons import HIDDEN, LIT, find_cells
-from joulebox_render.records import F8, POINT_LIGHT, SPOT_LIGHT, U1, Points, Rays, rows
+from joulebox_render.records import F8, POINT_LIGHT, SPOT_LIGHT, U1, Points, Rays, ShadowRays, rows
 from joulebox_render.stages.context import Context
 from joulebox_render.stages.shadow_photons import ShadowCells
 
@@ -59,25 +59,19 @@ def _sample_light(
     """
     tables = context.tables
     count = 1 if tables.light_kind[light] in (POINT_LIGHT, SPOT_LIGHT) else samples
-    room = (last - first) * count
-    origin, direction = np.empty((2, room, 3), np.float32)
-    limit, weight = np.empty((2, room), np.float32)
-    owner = np.empty(room, np.int32)
-    written = shadow_rays(
-        tables, light, count, context.columns(count), points, first, last,
-        origin, direction, limit, weight, owner,
-    )  # fmt: skip
+    shadow = ShadowRays.empty((last - first) * count)
+    written = shadow_rays(tables, light, count, context.columns(count), points, first, last, shadow)
     if seen:
         blocked: U1 = np.zeros(written, np.uint8)
     else:
-        blocked = context.intersector.occluded(origin[:written], direction[:written], limit[:written])
-    add_unblocked(tables, light, points, first, blocked, weight, owner, radiance)
+        blocked = context.intersector.occluded(
+            shadow.origin[:written], shadow.direction[:written], shadow.limit[:written]
+        )
+    add_unblocked(tables, light, points, first, blocked, shadow, radiance)
     return int(written) + _sample_close(context, light, points, first, last, count, radiance)
 
 
-def _sample_close(
-    context: Context, light: int, points: Points, first: int, last: int, count: int, radiance: F8
-) -> int:
+def _sample_close(context: Context, light: int, points: Points, first: int, last: int, count: int, radiance: F8) -> int:
     """Add the parts of a light that points are so close to that its own samples leave them out; returns the rays."""
     tables = context.tables
     if tables.light_close[light] == 0.0:

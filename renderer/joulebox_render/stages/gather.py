@@ -95,9 +95,7 @@ def incident_radiance(context: Context, light: Illumination, rays: Rays) -> tupl
     return radiance, distance
 
 
-def ask_map(
-    context: Context, light: Illumination, rays: Rays, hits: Hits, stretch: int, radiance: F8
-) -> Points:
+def ask_map(context: Context, light: Illumination, rays: Rays, hits: Hits, stretch: int, radiance: F8) -> Points:
     """Add what the map knows of the light at the ends of rays to radiance (owners, 3) f8; the points it knows not of.
 
     The map knows of as many bounces as photons make. Where that is fewer than stretches may follow each other, it

@@ -8,7 +8,7 @@ from joulebox_render.kernels.gathering import add_weighted
 from joulebox_render.kernels.lighting import add_unblocked
 from joulebox_render.kernels.lobes import lobe_rays, lobe_shadow_rays
 from joulebox_render.kernels.rng import INDEPENDENT, SOBOL
-from joulebox_render.records import ENVIRONMENT, F4, F8, POINT_LIGHT, SPOT_LIGHT, Lobes, Rays
+from joulebox_render.records import ENVIRONMENT, F4, F8, POINT_LIGHT, SPOT_LIGHT, Lobes, Rays, ShadowRays
 from joulebox_render.stages.context import Context
 
 
@@ -44,13 +44,7 @@ def _sample_light(
     """Add one light at lobes [first, last) to radiance (last - first, 3) f8."""
     tables = context.tables
     count = 1 if tables.light_kind[light] in (POINT_LIGHT, SPOT_LIGHT) else samples
-    room = (last - first) * count
-    origin, direction = np.empty((2, room, 3), np.float32)
-    limit, weight = np.empty((2, room), np.float32)
-    owner = np.empty(room, np.int32)
-    written = lobe_shadow_rays(
-        tables, light, count, fan, context.columns(count), lobes, first, last,
-        origin, direction, limit, weight, owner,
-    )  # fmt: skip
-    blocked = context.intersector.occluded(origin[:written], direction[:written], limit[:written])
-    add_unblocked(tables, light, lobes.at, first, blocked, weight, owner, radiance)
+    shadow = ShadowRays.empty((last - first) * count)
+    written = lobe_shadow_rays(tables, light, count, fan, context.columns(count), lobes, first, last, shadow)
+    blocked = context.intersector.occluded(shadow.origin[:written], shadow.direction[:written], shadow.limit[:written])
+    add_unblocked(tables, light, lobes.at, first, blocked, shadow, radiance)

@@ -11,6 +11,7 @@ from joulebox_render.kernels.kdtree import LEAF, build_tree
 from joulebox_render.kernels.lighting import emit_photons
 from joulebox_render.kernels.photons import scatter
 from joulebox_render.kernels.rng import path_key
+from joulebox_render.pool import WorkerPool
 from joulebox_render.records import F4, I4, U1, Aim, Photons, Rays, Scratch, Tree, rows
 from joulebox_render.stages.aim import aim_at_specular, aim_everywhere
 from joulebox_render.stages.context import Context
@@ -18,6 +19,9 @@ from joulebox_render.stages.context import Context
 EMISSION_STREAM = 2
 EVERYWHERE, AIMED = 0, 1
 FIRST_HIT, CAUSTIC, BOUNCED = 0, 1, 2
+ALL_HISTORIES: U1 = np.ones(3, np.uint8)
+# Levels of a tree that are grown one after another, so that threads share the work.
+SHARED_LEVELS = 4
 # A map that is not full after this many emissions for each photon it should hold stays as it is.
 EMITTED_PER_STORED = 50
 
@@ -43,13 +47,12 @@ class PhotonMap:
 
 @dataclass(frozen=True)
 class Emission:
-    """Stored photons of each map, None where the plan needs no such map, how many were emitted, rays traced."""
+    """Stored photons of each map, None where the plan needs no such map, and how many were emitted."""
 
     global_photons: Photons | None
     global_emitted: int
     caustic_photons: Photons | None
     caustic_emitted: int
-    rays: int
 
 
 class _Collector:
@@ -64,7 +67,7 @@ class _Collector:
         self.parts: list[Photons] = []
         self.stored = 0
         self.emitted = 0
-        self._chosen = np.isin(np.arange(3), histories)
+        self.histories = np.isin(np.arange(3), histories).astype(np.uint8)
 
     @property
     def full(self) -> bool:
@@ -74,9 +77,9 @@ class _Collector:
         """Add one chunk; `emitted` counts all photons emitted up to its end."""
         if self.full:
             return
-        chosen = np.flatnonzero(self._chosen[photons.history] & (photons.number < self._bound))
+        chosen = np.flatnonzero(self.histories[photons.history] & (photons.number < self._bound))
         chosen = chosen[: self.wanted - self.stored]
-        self.parts.append(Photons(*rows(photons, chosen)))
+        self.parts.append(photons if len(chosen) == len(photons.number) else Photons(*rows(photons, chosen)))
         self.stored += len(chosen)
         # A full map's last photon tells how many emissions filled it.
         self.emitted = int(photons.number[chosen[-1]]) + 1 if self.full else min(emitted, self._bound)
@@ -100,37 +103,34 @@ def emit_and_store(context: Context) -> Emission:
     everywhere = aim_everywhere(context.tables)
     shared: list[_Collector] = []
     of_global = of_caustic = None
-    traced = 0
     if plan.global_map:
         of_global = _Collector(settings.global_photons, global_histories(context))
         shared.append(of_global)
     if plan.caustic_map:
         of_caustic = _Collector(settings.caustic_photons, (CAUSTIC,))
         if settings.caustic_hints:
-            traced += _fill(context, aim_at_specular(context.tables), AIMED, [of_caustic])
+            _fill(context, aim_at_specular(context.tables), AIMED, [of_caustic])
         else:
             shared.append(of_caustic)
-    traced += _fill(context, everywhere, EVERYWHERE, shared)
+    _fill(context, everywhere, EVERYWHERE, shared)
     return Emission(
         _join(of_global.parts) if of_global else None, of_global.emitted if of_global else 0,
         _join(of_caustic.parts) if of_caustic else None, of_caustic.emitted if of_caustic else 0,
-        traced,
     )  # fmt: skip
 
 
-def _fill(context: Context, aim: Aim, emission: int, collectors: list[_Collector]) -> int:
-    """Emit until every collector is full or out of tries; returns the rays traced."""
-    emitted = traced = 0
+def _fill(context: Context, aim: Aim, emission: int, collectors: list[_Collector]) -> None:
+    """Emit until every collector is full or out of tries."""
+    emitted = 0
     lit = len(aim.choice) > 0 and float(aim.choice[-1]) > 0.0
     family = np.uint64(path_key(context.settings.seed, EMISSION_STREAM, emission))
     while lit and collectors and (needed := max(collector.needs(emitted) for collector in collectors)) > 0:
+        wanted = np.bitwise_or.reduce([each.histories for each in collectors if each.needs(emitted)])
         count = needed if emitted == 0 else min(needed, 4 * emitted)
-        for photons, chunk_end, rays in _trace_round(context, aim, family, emitted, count):
-            traced += rays
+        for photons, chunk_end in _trace_round(context, aim, family, emitted, count, wanted):
             for collector in collectors:
                 collector.take(photons, chunk_end)
         emitted += count
-    return traced
 
 
 def global_histories(context: Context) -> tuple[int, ...]:
@@ -145,16 +145,17 @@ def global_histories(context: Context) -> tuple[int, ...]:
     return (BOUNCED,) if context.plan.caustic_map else (CAUSTIC, BOUNCED)
 
 
-def build_photon_map(photons: Photons, emitted: int, wanted: int) -> PhotonMap:
+def build_photon_map(photons: Photons, emitted: int, wanted: int, pool: WorkerPool | None = None) -> PhotonMap:
     """Put photons into a kd-tree and scale their flux by the number emitted."""
-    tree, order = grow_tree(photons.position, photons.normal)
-    flux = np.ascontiguousarray(photons.flux[order] / np.float32(max(1, emitted)))
-    wi, history = np.ascontiguousarray(photons.wi[order]), np.ascontiguousarray(photons.history[order])
+    tree, order = grow_tree(photons.position, photons.normal, pool)
+    flux = photons.flux.take(order, axis=0)
+    flux /= np.float32(max(1, emitted))
+    wi, history = photons.wi.take(order, axis=0), photons.history.take(order)
     return PhotonMap(tree, flux, wi, history, order, len(photons.number), emitted, len(photons.number) >= wanted)
 
 
-def grow_tree(position: F4, normal: F4) -> tuple[Tree, np.ndarray]:
-    """A kd-tree over points and the order (N,) that its arrays list them in."""
+def grow_tree(position: F4, normal: F4, pool: WorkerPool | None = None) -> tuple[Tree, I4]:
+    """A kd-tree over points and the order (N,) that its arrays list them in; subtrees grow on the pool's threads."""
     count = len(position)
     order = np.arange(count, dtype=np.int32)
     depth = 0
@@ -163,50 +164,65 @@ def grow_tree(position: F4, normal: F4) -> tuple[Tree, np.ndarray]:
     nodes = (2 << depth) - 1
     axis = np.full(nodes, -1, np.int8)
     plane = np.zeros(nodes, np.float32)
-    if count:
-        build_tree(np.ascontiguousarray(position.T), order, axis, plane, Scratch.empty(1))
-    return Tree(np.ascontiguousarray(position[order]), np.ascontiguousarray(normal[order]), axis, plane), order
+    columns = np.ascontiguousarray(position.T)
+    # Level by level while there are few subtrees, then each to its leaves.
+    spans, shared = [(0, count)] if count else [], min(depth, SHARED_LEVELS)
+    for level in range(shared + 1):
+        first_node, levels = len(spans) - 1, depth if level == shared else 1
+
+        def grow(first: int, last: int) -> None:
+            for i in range(first, last):
+                build_tree(columns, order, axis, plane, first_node + i, *spans[i], levels, Scratch.empty(1))  # noqa: B023
+
+        if pool is None:
+            grow(0, len(spans))
+        else:
+            list(pool.map_chunks(grow, len(spans), pool.chunk_rays))
+        spans = [half for low, high in spans for half in ((low, (low + high) // 2), ((low + high) // 2, high))]
+    return Tree(position.take(order, axis=0), normal.take(order, axis=0), axis, plane), order
 
 
 def _trace_round(
-    context: Context, aim: Aim, family: np.uint64, first_number: int, count: int
-) -> Iterator[tuple[Photons, int, int]]:
-    """Emit `count` photons from number `first_number` on: (photons, emitted up to the chunk's end, rays) a chunk."""
+    context: Context, aim: Aim, family: np.uint64, first_number: int, count: int, wanted: U1
+) -> Iterator[tuple[Photons, int]]:
+    """Emit `count` photons from number `first_number` on: (photons, emitted up to the chunk's end) a chunk."""
 
-    def chunk(first: int, last: int) -> tuple[Photons, int, int]:
-        photons, rays = _trace_photons(context, aim, family, first_number + first, last - first)
-        return photons, first_number + last, rays
+    def chunk(first: int, last: int) -> tuple[Photons, int]:
+        return trace_photons(context, aim, family, first_number + first, last - first, wanted), first_number + last
 
-    return context.pool.map_chunks(chunk, count, 2)
+    return context.pool.map_chunks(chunk, count, 1)
 
 
-def _trace_photons(
-    context: Context, aim: Aim, family: np.uint64, first_number: int, count: int
-) -> tuple[Photons, int]:
-    """Follow photons number first_number ... until they are absorbed or gone; stored ones in order of emission."""
+def trace_photons(
+    context: Context, aim: Aim, family: np.uint64, first_number: int, count: int, wanted: U1 = ALL_HISTORIES
+) -> Photons:
+    """Follow photons number first_number ... until they are absorbed or gone; stored ones in order of emission.
+
+    wanted (3,) u1 tells which histories are stored; what can no longer have one of them is not followed.
+    """
     settings = context.settings
     rays = Rays.empty(count)
     emit_photons(context.tables, aim, context.sobol, family, first_number, rays)
     history = np.zeros(count, np.uint8)
     parts: list[Photons] = []
-    traced = 0
     for _ in range(settings.max_photon_bounces + 1):
-        count = len(rays.owner)
-        if count == 0:
+        going = len(rays.owner)
+        if going == 0:
             break
         hits = context.intersector.closest(rays.origin, rays.direction)
-        traced += count
-        stored, following = Photons.empty(count), Rays.empty(count)
-        following_history = np.empty(count, np.uint8)
+        stored, following, following_history = Photons.empty(going), Rays.empty(going), np.empty(going, np.uint8)
         stored_count, ray_count = scatter(
-            context.tables, settings.store_at_every_bounce, context.sobol, rays, history, hits,
+            context.tables, settings.store_at_every_bounce, context.sobol, wanted, rays, history, hits,
             stored, following, following_history,
         )  # fmt: skip
         parts.append(Photons(*rows(stored, slice(0, stored_count))))
         rays = Rays(*rows(following, slice(0, ray_count)))
         history = following_history[:ray_count]
     photons = _join(parts)
-    return Photons(*rows(photons, np.argsort(photons.number, kind="stable"))), traced
+    # In as few bits as will do: numpy sorts 16 and fewer in linear time.
+    number = (photons.number - first_number).astype(np.min_scalar_type(count))
+    order = np.argsort(number, kind="stable")
+    return Photons(*(column.take(order, axis=0) for column in photons))
 
 
 def _join(parts: list[Photons]) -> Photons:

@@ -136,9 +136,7 @@ def precompute_irradiance(context: Context, photons: PhotonMap) -> IrradianceRec
     def chunk(first: int, last: int) -> Estimates:
         here, facing = position[first:last], normal[first:last]
         estimates = estimate(here, facing, number[first:last].astype(np.uint64))
-        doubtful[first:last] = (
-            share_in_sight(context, estimate.photons, here, facing, estimates.witness) < 1
-        )
+        doubtful[first:last] = share_in_sight(context, estimate.photons, here, facing, estimates.witness) < 1
         sampled = direct_irradiance(context, number[first:last], here, facing)
         return estimates._replace(irradiance=estimates.irradiance + sampled)
 
@@ -227,9 +225,7 @@ def tabulate(
 
     def chunk(first: int, last: int) -> None:
         row = np.empty(last - first, np.int32)
-        nearest_records(
-            tree, place[first:last], facing[first:last], records.reach_m, cos_limit, Scratch.empty(1), row
-        )
+        nearest_records(tree, place[first:last], facing[first:last], records.reach_m, cos_limit, Scratch.empty(1), row)
         table.light[slots[first:last], :3] = np.where(row[:, None] >= 0, irradiance[row], 0.0)
         origin, direction = np.empty((2, FEELERS * len(row), 3), np.float32)
         limit = np.empty(FEELERS * len(row), np.float32)

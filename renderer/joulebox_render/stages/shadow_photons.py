@@ -19,7 +19,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from joulebox_render.kernels.lighting import emit_photons
 from joulebox_render.kernels.rng import path_key
@@ -236,6 +235,9 @@ def cell_side(position: F4) -> float:
     if len(position) < LEAST_PHOTONS:
         return 0.0
     probes = position[:: max(1, len(position) // DENSITY_PROBES)]
+    # Imported where there are shadow photons: it would take a sixth of the time in which a renderer starts.
+    from scipy.spatial import cKDTree
+
     distance, _ = cKDTree(position).query(probes, k=[min(DENSITY_NEIGHBOURS, len(position) - 1) + 1])
     area = np.pi * float(np.median(distance)) ** 2 / DENSITY_NEIGHBOURS
     return max(float(np.sqrt(CELL_PHOTONS * area)), float(np.ptp(position, axis=0).max()) / (CELLS - 4))
