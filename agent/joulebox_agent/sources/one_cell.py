@@ -22,13 +22,19 @@ class Label:
 
 
 def may_be_one_cell(one: Pack, other: Pack) -> bool:
-    """By voltage and current alone: equal voltage, and equal currents or a gauge that tells none."""
+    """By voltage and current alone: equal voltage, and equal currents or a gauge that tells none.
+
+    A current of 0 is a pack that waits for its turn, not a second look at the one that works.
+    """
     if {"power_now", "energy_now"} & {*one.micro, *other.micro}:
         return False
     voltages = [pack.micro.get("voltage_now", 0) for pack in (one, other)]
     if 0 in voltages or not _near(voltages[0], voltages[1], SAME_VOLTAGE):
         return False
-    return rateless(one) or rateless(other) or _near(one.micro["current_now"], other.micro["current_now"], SAME_CURRENT)
+    if rateless(one) or rateless(other):
+        return True
+    currents = [pack.micro["current_now"] for pack in (one, other)]
+    return 0 not in currents and _near(currents[0], currents[1], SAME_CURRENT)
 
 
 def one_cell(one: Pack, label: Label, other: Pack, other_label: Label) -> bool:
@@ -48,8 +54,8 @@ def one_cell(one: Pack, label: Label, other: Pack, other_label: Label) -> bool:
 
 
 def rateless(pack: Pack) -> bool:
-    """Tells no current, or one of 0."""
-    return not pack.micro.get("current_now")
+    """Tells no current."""
+    return "current_now" not in pack.micro
 
 
 def _near(one: int, other: int, share: float) -> bool:
