@@ -35,7 +35,8 @@ class PackCounter:
             return self._report(False, fault, "check the battery's driver (sudo dmesg)")
         if any(pack.discharging and pack.count() is None for pack in supplies.packs):
             reason = "a discharging pack has no energy_now, and no charge with a voltage"
-            return self._report(False, "; ".join([reason, *filter(None, [supplies.oddities()])]), "")
+            words = "; ".join([reason, *filter(None, [supplies.oddities()])])
+            return self._report(False, words, supplies.remedy_for_values("use --source battery_percent"))
         return self._report(True, "energy over time only: a rate needs two looks (doctor --watch 60)", "")
 
     def _report(self, available: bool, reason: str, remedy: str) -> SourceReport:

@@ -42,7 +42,8 @@ class PackGauge:
             return self._report(None, str(fault), "check the battery's driver (sudo dmesg)")
         problem = rate_problem(power_w, supplies)
         if problem:
-            remedy = "wait for the gauge's first refresh" if power_w == 0.0 else "use --source battery_counter"
+            wait = "wait for the gauge's first refresh"
+            remedy = wait if power_w == 0.0 else supplies.remedy_for_values("use --source battery_counter")
             return self._report(None, problem, remedy)
         names = ", ".join(pack.name for pack in supplies.packs if pack.discharging)
         words = [f"{names} discharging, no cable online", *supplies.notes]

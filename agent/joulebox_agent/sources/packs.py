@@ -27,6 +27,7 @@ class Pack:
             current_avg, voltage_now, energy_now, charge_now
     faults  names that answered with a fault (EIO) and what the fault was: they void what needs them
     odd     names that hold nonsense, and what: they count as not told
+    closed  files that only another user may read; they count as not told
     """
 
     name: str
@@ -34,6 +35,7 @@ class Pack:
     micro: Micro = field(default_factory=dict)
     faults: Mapping[str, str] = field(default_factory=dict)
     odd: Mapping[str, str] = field(default_factory=dict)
+    closed: tuple[str, ...] = ()
 
     @property
     def discharging(self) -> bool:
@@ -128,6 +130,11 @@ class Supplies:
         if self.cables_online:
             return "pull the power cable out"
         return "let the battery discharge (unplug; lift the charge threshold)"
+
+    def remedy_for_values(self, otherwise: str) -> str:
+        """What the user can do where the packs discharge and do not tell enough."""
+        closed = [file for pack in self.packs for file in pack.closed]
+        return f"sudo chmod a+r {' '.join(closed)}" if closed else otherwise
 
     def total_w(self) -> float | None:
         """Power of all packs [W]; None when a discharging pack does not tell its own. Raises PackFaultError."""

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from joulebox_agent.sources.one_cell import Label, may_be_one_cell, one_cell, rateless
 from joulebox_agent.sources.packs import JOULES_PER_WH, Pack, Supplies, plausible
-from joulebox_agent.sources.sysfs import UNUSABLE_ERRNOS, Sysfs, sentence
+from joulebox_agent.sources.sysfs import PERMISSION_ERRNOS, UNUSABLE_ERRNOS, Sysfs, sentence
 
 MICRO = 1e-6
 # Neither a pack nor a cable: gauges and chargers beside a phone's battery, and a UPS, which may feed a monitor too.
@@ -88,34 +88,29 @@ class PowerSupplyClass:
         micro: dict[str, int] = {}
         faults: dict[str, str] = {}
         odd: dict[str, str] = {}
-        for name in (*RATES, *COUNTERS):
-            self._look(folder, name, name, micro, faults, odd)
-        if "charge_now" not in micro:
-            self._look(folder, ANDROIDS_CHARGE, "charge_now", micro, faults, odd)
+        closed: list[str] = []
+        files = {name: name for name in (*RATES, *COUNTERS)}
+        for file, name in (*files.items(), (ANDROIDS_CHARGE, "charge_now")):
+            if name in micro:
+                continue
+            try:
+                value = self.sysfs.integer(folder / file)
+            except OSError as error:
+                (odd if error.errno in UNUSABLE_ERRNOS else faults)[name] = sentence(error)
+                closed += [str(folder / file)] if error.errno in PERMISSION_ERRNOS else []
+                continue
+            if value is None:
+                continue
+            if nonsense := plausible(file, value):
+                odd[name] = f"{folder / file} says {nonsense}"
+            else:
+                micro[name] = value
+                self._origins[str(folder / file)] = None
         status = self.sysfs.value(folder / "status")
         if status is None and not folder.exists():
             raise OSError(errno.ENODEV, "the pack was pulled out while it was read", str(folder))
         self._origins[str(folder / "status")] = None
-        return Pack(folder.name, (status or "").capitalize(), micro, faults, odd)
-
-    def _look(
-        self, folder: Path, file: str, name: str, micro: dict[str, int], faults: dict[str, str], odd: dict[str, str]
-    ) -> None:
-        """Puts what `file` holds under `name` into the one of the three that it belongs to."""
-        path = folder / file
-        try:
-            value = self.sysfs.integer(path)
-        except OSError as error:
-            (odd if error.errno in UNUSABLE_ERRNOS else faults)[name] = sentence(error)
-            return
-        if value is None:
-            return
-        nonsense = plausible(file, value)
-        if nonsense:
-            odd[name] = f"{path} says {nonsense}"
-        else:
-            micro[name] = value
-            self._origins[str(path)] = None
+        return Pack(folder.name, (status or "").capitalize(), micro, faults, odd, tuple(closed))
 
     def _notice_twins(self, packs: list[Pack]) -> None:
         """Finds second gauges of one cell. Once found they stay found: the readings of two gauges part for
