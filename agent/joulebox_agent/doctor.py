@@ -17,7 +17,7 @@ from joulebox_agent.sources.reading import EnergySource, SourceReport
 from joulebox_agent.sources.survey import Row, survey
 from joulebox_agent.sources.sysfs import SYSTEM_ROOT
 
-LOOK_S = 0.2  # how long a source is read again and again, to learn what a reading costs
+LOOK_S, LOOK_PAUSE_S = 0.2, 0.01  # how long a source is read again and again, to learn what a reading costs
 FEWEST_STEPS = 5  # of a counter, below which its difference is no power
 WANTED_SHARE = 0.05
 
@@ -94,14 +94,16 @@ def _looked(source: EnergySource | None, report: SourceReport) -> Row:
         return source, report
     start_s, start_cpu_s = time.perf_counter(), _cpu_s()
     first = last = source.read()
-    last_s, reads = time.perf_counter(), 1
-    while (now_s := time.perf_counter()) - start_s < LOOK_S:
-        last, last_s = source.read(), now_s
+    first_s = last_s = time.perf_counter()
+    reads = 1
+    while last_s - start_s < LOOK_S:
+        time.sleep(LOOK_PAUSE_S)
+        last, last_s = source.read(), time.perf_counter()
         reads += 1
     found: dict[str, float] = {"cpu_share": (_cpu_s() - start_cpu_s) / reads / source.poll_s}
     used_j = (last.counter_j or 0.0) - (first.counter_j or 0.0)
     if source.primary == "counter" and report.resolution_j and used_j >= FEWEST_STEPS * report.resolution_j:
-        found["power_w"] = used_j / (last_s - start_s)
+        found["power_w"] = used_j / (last_s - first_s)
     return source, report.model_copy(update=found)
 
 
