@@ -4,9 +4,10 @@ import math
 
 from scipy.special import stdtrit
 
+from joulebox_agent.estimate import CONFIDENCE
+
 PILOT_WINDOWS = 5
 ADVISED_REFRESHES = 15  # of a gauge in a window
-CONFIDENCE = 0.95
 
 
 def window_s_for_share(
