@@ -138,9 +138,17 @@ LAYOUTS: dict[str, tuple[Nodes, float]] = {
     "phone with a fuel gauge that tells no current": (
         {
             "battery": battery(current_now=-412_500, voltage_now=4_011_000, capacity=62),
-            "max170xx_battery": battery(voltage_now=4_013_000, capacity=61),
+            "max170xx_battery": battery(voltage_now=4_013_000, capacity=61, charge_now=2_000_000),
         },
         0.4125 * 4.011,
+    ),
+    "laptop with a mouse and a headset that have no scope": (
+        {
+            "BAT0": battery(power_now=10_000_000, energy_now=30_000_000, voltage_now=11_900_000),
+            "hidpp_battery_0": battery(voltage_now=4_013_000, capacity=61, model_name="MX Master"),
+            "headset": battery(status="Unknown", capacity=80),
+        },
+        10.0,
     ),
     "board with cw2015": (
         {

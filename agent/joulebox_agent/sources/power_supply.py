@@ -6,6 +6,7 @@ Source: Documentation/ABI/testing/sysfs-class-power.
 
 import errno
 import math
+import os
 from pathlib import Path
 
 from joulebox_agent.sources.one_cell import Label, may_be_one_cell, one_cell, rateless
@@ -34,6 +35,7 @@ class PowerSupplyClass:
         self._packs: list[Path] = []
         self._cables: list[Path] = []
         self._ups: list[str] = []
+        self._silent: list[str] = []
         self._twins: dict[str, str] = {}
         self._origins: dict[str, None] = {}
 
@@ -58,6 +60,7 @@ class PowerSupplyClass:
         packs = [self._pack(folder) for folder in self._present()]
         online = [cable.name for cable in self._cables if self.sysfs.integer(cable / "online")]
         notes = [f"{name} is a UPS, which may feed more than this machine" for name in self._ups]
+        notes += [f"{name} has no file of power or energy: a peripheral or a second gauge" for name in self._silent]
         self._notice_twins(packs)
         notes += [f"{one} is a second gauge of {other}'s cell, counted once" for one, other in self._twins.items()]
         return Supplies(tuple(pack for pack in packs if pack.name not in self._twins), tuple(online), tuple(notes))
@@ -77,6 +80,9 @@ class PowerSupplyClass:
                 ups.append(folder.name)
             else:  # whatever else feeds a machine; phones rename a cable's type as it is plugged in
                 cables.append(folder)
+        talking = [folder for folder in packs if _tells_energy(folder)]
+        self._silent = [folder.name for folder in packs if talking and folder not in talking]
+        packs = talking or packs
         self._packs, self._cables, self._ups = packs, cables, ups  # all or nothing: a cable must not get lost
         self._names, self._twins = names, {}
 
@@ -172,3 +178,9 @@ class PowerSupplyClass:
         if voltage_uv is None:
             return None
         return common_step("charge") * MICRO * voltage_uv * MICRO * JOULES_PER_WH or None
+
+
+def _tells_energy(folder: Path) -> bool:
+    """Whether the driver has any file of power or energy, readable now or not: a mouse without a scope has none."""
+    names = ("power_now", "current_now", "power_avg", "current_avg", *COUNTERS, ANDROIDS_CHARGE)
+    return any(os.path.lexists(folder / name) for name in names)
