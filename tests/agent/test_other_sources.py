@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from agent_testing import DATA, EIO, FaultySysfs, build_tree
+from agent_testing import DATA, EIO, RENDERER, FaultySysfs, build_tree
 from joulebox_agent.errors import SourceUnavailableError, UsageError
 from joulebox_agent.sources.battery_percent import BatteryPercent, Charge
 from joulebox_agent.sources.choose import choose, make_source
@@ -253,6 +253,19 @@ def test_an_estimate_is_opt_in_and_says_what_it_is(tmp_path: Path) -> None:
 def test_an_estimate_needs_its_range(text: str) -> None:
     with pytest.raises(UsageError, match="low,value,high"):
         choose(f"estimate_cpu_time:{text}")
+
+
+def test_an_estimates_interval_spans_its_stated_range(agent: Agent) -> None:
+    """The statistical interval around the value, stretched by 6/10 below and 15/10 above."""
+    code, out, err = agent("measure", "cornell", "--renderer", RENDERER, "--window-s", "0.3", "--min-windows", "3",
+                           "--max-windows", "3", "--source", "estimate_cpu_time:6,10,15", "--json")  # fmt: skip
+    document = json.loads(out)
+    assert code == 0, err
+    assert (document["method"], document["quality"]) == ("estimate_cpu_time", "estimated")
+    gross = document["energy_j_per_image"]["gross"]
+    assert gross["low"] <= 0.6 * gross["value"]
+    assert gross["high"] >= 1.5 * gross["value"]
+    assert "estimate" in err
 
 
 def test_busy_seconds_are_those_that_this_process_uses() -> None:
