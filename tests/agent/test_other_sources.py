@@ -4,6 +4,7 @@ import json
 import shlex
 import sys
 import time
+from collections import namedtuple
 from collections.abc import Callable
 from pathlib import Path
 
@@ -274,6 +275,15 @@ def test_busy_seconds_are_those_that_this_process_uses() -> None:
     while time.process_time() - own_s < 0.5:
         pass
     assert busy_cpu_s() - before_s >= 0.4
+
+
+def test_idle_waiting_and_guests_are_not_busy(monkeypatch: pytest.MonkeyPatch) -> None:
+    """12 + 1 + 5 + 0.5 + 0.5 s; a guest's 2 s are among user's 12, stolen ones were another machine's."""
+    fields = {"user": 12.0, "nice": 1.0, "system": 5.0, "idle": 100.0, "iowait": 7.0, "irq": 0.5, "softirq": 0.5,
+              "steal": 3.0, "guest": 2.0, "guest_nice": 0.0}  # fmt: skip
+    times = namedtuple("scputimes", fields)(**fields)
+    monkeypatch.setattr("psutil.cpu_times", lambda: times)
+    assert busy_cpu_s() == pytest.approx(19.0)
 
 
 # --- names -------------------------------------------------------------------------------------------------

@@ -67,8 +67,8 @@ LAYOUTS: dict[str, tuple[Nodes, float]] = {
     ),
     "two packs at once, watts (Surface Book)": (
         {
-            "BAT1": battery(power_now=6_000_000, energy_now=40_000_000, voltage_now=7_700_000),
-            "BAT2": battery(power_now=6_000_000, energy_now=40_000_000, voltage_now=7_700_000),
+            "BAT1": battery(power_now=6_000_000, current_now=779_000, voltage_now=7_700_000, capacity=80),
+            "BAT2": battery(power_now=6_000_000, current_now=779_000, voltage_now=7_700_000, capacity=80),
         },
         12.0,
     ),
@@ -339,6 +339,15 @@ def test_a_zero_at_the_first_look_does_not_stay(tmp_path: Path) -> None:
     assert gauge.read().problem == "the gauge says 0 W while discharging"
     (tmp_path / "class/power_supply/BAT0/power_now").write_text("8000000\n")
     assert gauge.read().power_w == pytest.approx(8.0)
+
+
+def test_of_two_counts_of_one_charge_the_kernels_own_name_counts(tmp_path: Path) -> None:
+    files = {"charge_now": 2_480_000, "charge_counter": 900_000, "voltage_now": 4_000_000}
+    counter = BatteryCounter(Sysfs(build_tree(tmp_path, {"battery": battery(**files)})))
+    counter.read()
+    for name, micro_ah in (("charge_now", 2_479_000), ("charge_counter", 895_000)):
+        (tmp_path / f"class/power_supply/battery/{name}").write_text(f"{micro_ah}\n")
+    assert counter.read().counter_j == pytest.approx(14.4)
 
 
 def test_androids_charge_counter_counts(tmp_path: Path) -> None:
