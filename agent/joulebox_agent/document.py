@@ -29,6 +29,19 @@ class EnergyPerImage(_Part):
     net: Interval | None
     counter: Interval | None
 
+    def within(self, scale_range: tuple[float, float] | None) -> "EnergyPerImage":
+        """The same with every bound as far out as the source may be off (an estimate's stated range), by factors."""
+        if scale_range is None:
+            return self
+
+        def widened(interval: Interval | None) -> Interval | None:
+            if interval is None:
+                return None
+            ends = [bound * factor for bound in (interval.low, interval.high) for factor in scale_range]
+            return Interval(value=interval.value, low=min(ends), high=max(ends))
+
+        return EnergyPerImage(gross=widened(self.gross), net=widened(self.net), counter=widened(self.counter))
+
 
 class StageEnergy(_Part):
     """Three estimates by name. `integrated` needs a source faster than a stage, `regressed` a whole sweep."""

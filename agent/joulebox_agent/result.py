@@ -85,6 +85,7 @@ def _find(record: Recording, rule: MeasureRule) -> _Findings:
     if record.idle and idle_w is None:
         notes.append("net energy is unknown: the source is too slow for the idle time, make --idle-s longer")
     per_image = _energy_per_image(energies, windows, idle_w, rule.min_windows)
+    per_image = per_image.within(record.source_report.scale_range)
     if record.source.quality != "none" and per_image.gross is None and not energies.notes and record.void is None:
         notes.append("energy is unknown: it needs at least two windows with readings")
     return _Findings(windows, energies, per_image, idle_w, series.refresh_s(), tuple(notes))
