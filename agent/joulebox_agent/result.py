@@ -117,9 +117,8 @@ def _usable_windows(record: Recording) -> list[Window]:
     """The closed windows; without any, the images there are as one window, the warm-up as the last resort."""
     if record.windows:
         return record.windows
-    rest = record.splitter.rest() if record.splitter else None
-    if rest is not None:
-        return [rest]
+    if record.rest is not None:
+        return [record.rest]
     if record.warm_up is None:
         return []
     only = Window(record.warm_up.start_s)

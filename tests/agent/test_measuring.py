@@ -234,15 +234,16 @@ def test_a_cable_that_appears_voids_and_stops(tmp_path: Path) -> None:
     assert document.energy_j_per_image.gross is None
 
 
-def test_a_machine_that_slept_and_a_lost_sensor_are_trouble() -> None:
+def test_a_machine_that_slept_voids_a_stretch_and_a_lost_sensor_ends_it() -> None:
     clock = ScriptedClock()
     sampler = Sampler(Replay(bundled_trace(), 0.1, clock), clock, lost_after_s=5.0)
     sampler.sample()
-    assert sampler.trouble() is None
     clock.time_s += 3.0
     clock.asleep_s = 42.0
     sampler.sample()
-    assert sampler.trouble() == "the machine slept for 42.0 s, noticed at 3.0 s"
+    assert sampler.void_reason(1000.0, 1001.0) == "the machine slept for 42.0 s, noticed at 3.0 s"
+    assert sampler.void_reason(1003.0, 1004.0) is None
+    assert sampler.trouble() is None
 
     class Broken(Replay):
         def read(self) -> Reading:
@@ -252,6 +253,7 @@ def test_a_machine_that_slept_and_a_lost_sensor_are_trouble() -> None:
     sampler = Sampler(Broken(bundled_trace(), 0.1, clock), clock, lost_after_s=5.0)
     sampler.sample()
     assert sampler.trouble() is None  # one bad sample voids itself only
+    assert sampler.void_reason(1000.0, 1001.0) is None
     clock.time_s += 6.0
     sampler.sample()
     assert sampler.trouble() == "the sensor was lost at 6.0 s (power_now: EIO)"

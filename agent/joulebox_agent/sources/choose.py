@@ -25,11 +25,16 @@ KNOWN = ("auto", *SOURCES, "replay[:FILE][@REFRESH_S]", "none")
 
 @dataclass(frozen=True)
 class Choice:
-    """A source and what it says about itself. `declined` lists why better ones were passed over."""
+    """A source and what it says about itself.
+
+    name      what makes the same source again: choose(name, sysfs_root)
+    declined  why better ones were passed over
+    """
 
     source: EnergySource
     report: SourceReport
     declined: tuple[SourceReport, ...] = ()
+    name: str = ""
 
 
 def choose(name: str, sysfs_root: Path = Path("/sys")) -> Choice:
@@ -40,10 +45,10 @@ def choose(name: str, sysfs_root: Path = Path("/sys")) -> Choice:
     """
     if name == "none":
         source: EnergySource = NoSource()
-        return Choice(source, source.report())
+        return Choice(source, source.report(), name=name)
     if name == "replay" or name.startswith(("replay:", "replay@")):
         source = parse_replay(name)
-        return Choice(source, source.report())
+        return Choice(source, source.report(), name=name)
     sysfs = Sysfs(sysfs_root)
     if name == "auto":
         return _best(sysfs)
@@ -53,19 +58,19 @@ def choose(name: str, sysfs_root: Path = Path("/sys")) -> Choice:
     report = source.report()
     if not report.available:
         raise SourceUnavailableError(_sentence(report))
-    return Choice(source, report)
+    return Choice(source, report, name=name)
 
 
 def _best(sysfs: Sysfs) -> Choice:
     declined: list[SourceReport] = []
-    for make in SOURCES.values():
+    for name, make in SOURCES.items():
         source = make(sysfs)
         report = source.report()
         if report.available:
-            return Choice(source, report, tuple(declined))
+            return Choice(source, report, tuple(declined), name)
         declined.append(report)
     nothing = NoSource()
-    return Choice(nothing, nothing.report(), tuple(declined))
+    return Choice(nothing, nothing.report(), tuple(declined), "none")
 
 
 def unfit_reason(name: str, sysfs_root: Path = Path("/sys")) -> str | None:
