@@ -1,16 +1,21 @@
 """Energy of every window of a measurement, and what the source could not resolve."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
+from joulebox_agent.calibration import Calibration
 from joulebox_agent.estimate import Interval, two_stage_interval
 from joulebox_agent.series import PowerSeries
-from joulebox_agent.sources.reading import EnergySource
+from joulebox_agent.sources.reading import EnergySource, Primary
 from joulebox_agent.windows import Window
 
 ADVISED_REFRESHES = 15
 FEWEST_STEPS = 5  # of a counter over all windows, below which its difference says little
 DISAGREEMENT_NOTED, DISAGREEMENT_REJECTED = 0.05, 1.0
 IDLE_PIECES = 3
+NODES_A_STAGE = 4  # of a fast source in one run of a stage, below which neighbouring stages blur
 
 
 @dataclass(frozen=True)
@@ -115,3 +120,44 @@ def idle_power(series: PowerSeries, source: EnergySource, blocks: list[tuple[flo
                 return None
             pieces_w.append(energy_j / length_s)
     return two_stage_interval(pieces_w, len(pieces_w)) if len(pieces_w) >= 2 else None
+
+
+def integrated_stage_energies(
+    series: PowerSeries,
+    stages: Mapping[str, Sequence[tuple[float, float]]],
+    total_j: float,
+    windows: Sequence[tuple[float, float]],
+    primary: Primary = "counter",
+    calibration: Calibration | None = None,
+) -> dict[str, float] | None:
+    """Energy [J] of every stage over its own intervals, scaled so that all the windows' time sums to total_j.
+
+    series       of a source fast enough to resolve a stage (RAPL, a fast replay)
+    stages       name -> intervals (start_s, end_s) within the windows; see windows.stage_intervals
+    total_j      energy of the windows (start_s, end_s) as the gross source tells it: the scale
+    calibration  P_battery = a + b P_rapl, applied before the scale; None: the share is RAPL's own
+    None where the source cannot resolve the stages: fewer than 4 of its nodes in a stage's median interval.
+    """
+    node_s = series.node_s(primary)
+    spans = [end_s - start_s for intervals in stages.values() for start_s, end_s in intervals]
+    if node_s is None or not spans:
+        return None
+    if any(
+        float(np.median([e - s for s, e in intervals])) < NODES_A_STAGE * node_s
+        for intervals in stages.values()
+        if intervals
+    ):
+        return None
+    at_battery: dict[str, float] = {}
+    for name, intervals in {**stages, "": windows}.items():
+        energies = [series.energy_j(start_s, end_s, primary) for start_s, end_s in intervals]
+        known = [energy_j for energy_j in energies if energy_j is not None]
+        if len(known) < len(energies):
+            return None
+        length_s = sum(end_s - start_s for start_s, end_s in intervals)
+        fixed_j, slope = (0.0, 1.0) if calibration is None else (calibration.a_w * length_s, calibration.b)
+        at_battery[name] = fixed_j + slope * sum(known)
+    whole_j = at_battery.pop("")
+    if whole_j <= 0:
+        return None
+    return {name: energy_j * total_j / whole_j for name, energy_j in at_battery.items()}

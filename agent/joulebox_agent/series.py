@@ -36,6 +36,13 @@ class PowerSeries:
             return None
         return float(np.median(np.diff([s.time_s for s in self._updates[1:]])))
 
+    def node_s(self, primary: Primary) -> float | None:
+        """Median time between the moments at which power (or the counter) is known; None with fewer than three."""
+        if primary == "power":
+            return self.refresh_s()
+        times_s = [s.time_s for s in self._updates if s.reading.counter_j is not None]
+        return float(np.median(np.diff(times_s))) if len(times_s) >= 3 else None
+
     def update_count(self, start_s: float, end_s: float) -> int:
         """Updates seen within a stretch (start excluded)."""
         return sum(start_s < s.time_s <= end_s for s in self._updates)
