@@ -185,25 +185,27 @@ class Measurement:
 
     def _decide(self) -> None:
         """The running estimate after every window, and when the pilot is complete, Stein's second stage."""
-        values, unit = self._values()
+        values, unit, widening = self._values()
         if len(values) < 2:
             return
-        interval = two_stage_interval(values, self._rule.min_windows)
+        interval = two_stage_interval(values, self._rule.min_windows, widening=widening)
         self._estimate = f"{interval.value:.4g} {unit} an image ± {interval.half_width:.2g}"
         if not self._decided and len(self.recording.windows) >= self._wanted:
             self._decided = True
-            needed = windows_needed(values[: max(2, self._rule.min_windows)], self._rule.half_width)
+            pilot = values[: max(2, self._rule.min_windows)]
+            needed = windows_needed(pilot, self._rule.half_width, widening=widening)
             self._wanted = min(self._rule.max_windows, max(self._wanted, needed))
 
-    def _values(self) -> tuple[list[float], str]:
-        """What decides the number of windows: joules an image, seconds an image where no energy is known."""
+    def _values(self) -> tuple[list[float], str, float]:
+        """What decides the number of windows: joules an image, seconds an image where no energy is known;
+        their unit; how much drift widens their interval."""
         record = self.recording
         series = PowerSeries(self._sampler.samples())
         found = window_energies(series, record.source, record.windows, record.source_report.resolution_j)
         joules = [g / w.images for g, w in zip(found.gross_j, record.windows, strict=True) if g is not None]
         if joules:
-            return joules, "J"
-        return [w.image_time_s / w.images for w in record.windows], "s"
+            return joules, "J", found.widening
+        return [w.image_time_s / w.images for w in record.windows], "s", 1.0
 
     def _finished(self, ready_s: float | None) -> bool:
         self._check_surroundings()

@@ -126,7 +126,7 @@ def _fit(windows: Sequence[WindowTotals], stages: tuple[str, ...]) -> StagePower
     starts_s = _starts(windows, lengths_s)
     whole = drift.fit(design, power_w, starts_s, lengths_s, WITHOUT_DRIFT)
     _check_told_apart(whole, stages, power_w)
-    positive = _positive(whole.correlation, design, power_w)
+    positive = _positive(np.tensordot(whole.weights, whole.ratios, 1), design, power_w)
     free = drift.fit(design[:, positive], power_w, starts_s, lengths_s, WITHOUT_DRIFT)
     return _assembled(stages, positive, whole, free, len(windows))
 

@@ -36,6 +36,20 @@ class Window:
     def wall_s(self) -> float:
         return self.end_s - self.start_s
 
+    def pieces(self, count: int) -> list[tuple[float, float, float]]:
+        """The window cut into `count` stretches of about equal length: (start_s, end_s, images in it).
+
+        They end where an image ends; where only the number of images is known they hold equal parts of it.
+        """
+        cuts = range(1, count + 1)
+        if len(self.image_ends_s) < count:
+            ends = [(self.start_s + self.wall_s * cut / count, self.images * cut / count) for cut in cuts]
+        else:
+            ends_at = [round(len(self.image_ends_s) * cut / count) for cut in cuts]
+            ends = [(self.image_ends_s[images - 1], float(images)) for images in ends_at]
+        begins = [(self.start_s, 0.0), *ends[:-1]]
+        return [(b_s, e_s, upto - done) for (b_s, done), (e_s, upto) in zip(begins, ends, strict=True)]
+
     def add(self, image: ImageEvent, stages: list[StageEvent]) -> None:
         self.end_s = image.end_s
         self.image_ends_s.append(image.end_s)
