@@ -1,160 +1,95 @@
-"""From samples to the stretches of time in which no watt can be trusted, and to the end of all measuring.
+"""Faults of a sensor that no single reading shows: each named, each with the stretch it spoils.
 
-A fault voids the windows that it touches and the measurement goes on; only what will not pass ends it: mains
-that stays, a sensor that is gone, a gauge that never moves again.
+`stretch_fault` says why a window cannot be trusted; the window is void, the measurement goes on.
 """
 
 import math
-from dataclasses import dataclass, replace
-from statistics import median
+from collections.abc import Sequence
 
-from joulebox_agent.sources.reading import Primary, Reading
+from joulebox_agent.series import PowerSeries
+from joulebox_agent.sources.reading import Primary
 
-SLEPT_AT_LEAST_S = 0.1
-FROZEN_AFTER = 5  # refreshes without an update
-UPDATES_TO_KNOW_REFRESH = 6
-FROZEN_FOR_GOOD_S = 300.0
-UNREAD_AFTER_S = 10.0  # no good sample for so long leaves the power between two of them unknown
-STOOD_STILL_S = 5.0  # between two polls; a loaded machine delays them by far less
+FROZEN_REFRESHES = 5
+BY_CHANCE = 1e-5  # a run of repeated values that is less likely than this is a frozen gauge
+COUNTER_STEPS = 3  # that a counter must be short of, or off by, before it contradicts the gauge
+DISAGREEMENT = 0.05
 
 
-@dataclass(frozen=True)
-class Patience:
-    """How long a trouble may last before it ends the measurement rather than a window [s].
+def stretch_fault(
+    series: PowerSeries,
+    start_s: float,
+    end_s: float,
+    primary: Primary,
+    load_changes_s: Sequence[float] = (),
+) -> str | None:
+    """Why the samples of [start_s, end_s] cannot be trusted, or None.
 
-    lost_s     the sensor answers nothing but errors
-    refused_s  mains is online, or nothing discharges
+    load_changes_s  moments at which the power is known to have stepped (rendering began or ended)
     """
-
-    lost_s: float = 60.0
-    refused_s: float = 3.0
-
-
-@dataclass(frozen=True)
-class Fault:
-    """A stretch that voids every window it overlaps; it lasts still while `end_s` is infinite."""
-
-    start_s: float
-    end_s: float
-    reason: str
+    gap_s = series.longest_gap_s(start_s, end_s)
+    if not series.covered(start_s, end_s):
+        return f"no good sample for {gap_s:.1f} s" if math.isfinite(gap_s) else "no good sample at all"
+    if primary == "counter":
+        return counter_fault(series, start_s, end_s)
+    return frozen_gauge(series, start_s, end_s, load_changes_s)
 
 
-class FaultWatch:
-    """Judges samples in the order they come. Times in seconds on the perf_counter axis.
+def counter_fault(series: PowerSeries, start_s: float, end_s: float) -> str | None:
+    """A counter that ran backwards, may have wrapped twice, or lost a pack within the stretch, or None."""
+    if len(series.epochs(start_s, end_s)) > 1:
+        return "the counter ran backwards or lost its thread (a pack changed, a second wrap)"
+    return None
 
-    start_s   when sampling began; the sentences count from there
-    poll_s    the source's polling interval
-    primary   a counter may legitimately stand still, only a gauge can freeze
+
+def frozen_gauge(series: PowerSeries, start_s: float, end_s: float, load_changes_s: Sequence[float] = ()) -> str | None:
+    """Why the gauge counts as frozen in a part of [start_s, end_s], or None.
+
+    Five refreshes without another value are a suspicion only, since a coarse gauge repeats itself at constant
+    power. Proof is one of: the load stepped meanwhile; the counter moved by something else than what the held
+    value says; the counter stood still as well although energy was used; the run is too long to be chance,
+    judged by how often this gauge repeats itself elsewhere.
     """
+    refresh_s = series.refresh_s()
+    if refresh_s is None:
+        return None
+    for held_from_s, held_to_s, held_w in series.holds():
+        held_s = held_to_s - held_from_s
+        if held_s <= FROZEN_REFRESHES * refresh_s or held_to_s <= start_s or held_from_s >= end_s:
+            continue
+        why = (
+            _stepped(held_from_s + 2 * refresh_s, held_to_s - 2 * refresh_s, load_changes_s)
+            or _counter_objects(series, held_from_s, held_to_s, held_w)
+            or _too_long(series, held_s, refresh_s)
+        )
+        if why:
+            return f"the gauge froze at {held_w:.4g} W for {held_s:.1f} s ({held_s / refresh_s:.0f} refreshes): {why}"
+    return None
 
-    def __init__(self, start_s: float, poll_s: float, primary: Primary, patience: Patience | None = None) -> None:
-        self._start_s, self._primary = start_s, primary
-        self._still_s = max(STOOD_STILL_S, 10 * poll_s)
-        self._patience = patience or Patience()
-        self._faults: list[Fault] = []
-        self._open: Fault | None = None
-        self._last: tuple[float, float] | None = None  # time and time slept at the last sample
-        self._good_s = start_s
-        self._bad: Reading | None = None  # the reading since which nothing good came
-        self._raw: tuple[int | float, ...] | None = None
-        self._epoch = 0
-        self._update_s = start_s
-        self._intervals_s: list[float] = []
-        self._end: str | None = None
 
-    def add(self, time_s: float, slept_s: float, reading: Reading) -> None:
-        """Takes the next sample: its time, seconds the machine has slept since boot, and what was read."""
-        if self._last is not None:
-            self._judge_time(*self._last, time_s, slept_s)
-        self._last = (time_s, slept_s)
-        if reading.refusal is not None or reading.problem is not None:
-            self._judge_bad(time_s, reading)
-            return
-        if self._bad is not None:
-            self._close(time_s)
-            self._bad = None
-        self._judge_packs(time_s, reading)
-        self._judge_updates(time_s, reading)
-        self._good_s = time_s
-        self._raw, self._epoch = reading.raw, reading.epoch
+def _stepped(from_s: float, to_s: float, load_changes_s: Sequence[float]) -> str | None:
+    return "the load changed meanwhile" if any(from_s < at_s < to_s for at_s in load_changes_s) else None
 
-    def void(self, start_s: float, end_s: float, reason: str) -> None:
-        """Adds a stretch that somebody else knows to be bad (the sampler's own death)."""
-        self._faults.append(Fault(start_s, end_s, reason))
 
-    def over(self, start_s: float, end_s: float) -> str | None:
-        """Why the stretch is void, or None."""
-        faults = self._faults if self._open is None else [*self._faults, self._open]
-        return next((f.reason for f in faults if f.start_s < end_s and f.end_s > start_s), None)
+def _counter_objects(series: PowerSeries, from_s: float, to_s: float, held_w: float) -> str | None:
+    """What the counter says against a value held for so long, None when it agrees or cannot tell."""
+    counted_j, step_j = series.energy_j(from_s, to_s, "counter"), series.counter_step_j()
+    if counted_j is None or step_j is None:
+        return None
+    expected_j = held_w * (to_s - from_s)
+    if abs(counted_j - expected_j) <= max(COUNTER_STEPS * step_j, DISAGREEMENT * expected_j):
+        return None
+    if counted_j == 0.0:
+        return f"the counter stood still as well, where {expected_j:.3g} J were used"
+    return f"the counter says {counted_j:.3g} J, the held value {expected_j:.3g} J"
 
-    def end(self) -> str | None:
-        """Why nothing more can be measured, or None."""
-        return self._end
 
-    def refresh_s(self) -> float | None:
-        """Median time between updates as seen so far; None with fewer than six of them."""
-        return median(self._intervals_s) if len(self._intervals_s) >= UPDATES_TO_KNOW_REFRESH else None
-
-    def _at(self, time_s: float) -> str:
-        return f"at {time_s - self._start_s:.1f} s"
-
-    def _judge_time(self, last_s: float, last_slept_s: float, time_s: float, slept_s: float) -> None:
-        if slept_s - last_slept_s > SLEPT_AT_LEAST_S:
-            reason = f"the machine slept for {slept_s - last_slept_s:.1f} s, noticed {self._at(time_s)}"
-        elif time_s < last_s:
-            reason = f"the clock went back by {last_s - time_s:.1f} s {self._at(last_s)}"
-        elif time_s - last_s > self._still_s:
-            reason = f"nothing was read for {time_s - last_s:.1f} s {self._at(last_s)}: the machine stood still"
-        else:
-            return
-        self.void(min(last_s, time_s), max(last_s, time_s), reason)
-        self._update_s = time_s  # the gauge had no chance to be seen moving
-
-    def _judge_bad(self, time_s: float, reading: Reading) -> None:
-        """A refusal voids from the last good sample on; errors do when they last too long to bridge."""
-        if self._bad is None:
-            self._bad = reading
-        lasted_s = time_s - self._good_s
-        refused = reading.refusal is not None
-        reason = f"{reading.refusal or reading.problem} {self._at(time_s)}"
-        if (refused or lasted_s > UNREAD_AFTER_S) and self._open is None:
-            self._open = Fault(self._good_s, math.inf, reason)
-        if self._end is not None:
-            return
-        if refused and lasted_s > self._patience.refused_s:
-            self._end = reason
-        elif not refused and lasted_s > self._patience.lost_s:
-            self._end = f"the sensor was lost {self._at(time_s)} ({reading.problem})"
-
-    def _judge_packs(self, time_s: float, reading: Reading) -> None:
-        """A counter that starts anew is worth nothing across that moment; one that does so over other files than
-        before was a pack pulled out or put in, which a gauge cannot bridge either."""
-        if self._raw is None or reading.epoch == self._epoch:
-            return
-        if len(reading.raw) != len(self._raw):
-            self.void(self._good_s, time_s, f"the set of batteries changed {self._at(time_s)}")
-            self._raw = None
-        elif self._primary == "counter":
-            self.void(self._good_s, time_s, f"the counter lost its thread {self._at(time_s)}")
-
-    def _judge_updates(self, time_s: float, reading: Reading) -> None:
-        if self._raw is None or reading.raw != self._raw:
-            if self._raw is not None:
-                self._intervals_s.append(time_s - self._update_s)
-            self._update_s = time_s
-            self._close(time_s)
-            return
-        refresh_s = self.refresh_s()
-        if self._primary != "power" or refresh_s is None or self._open is not None:
-            if self._open is not None and time_s - self._update_s > max(FROZEN_FOR_GOOD_S, 20 * (refresh_s or 0.0)):
-                self._end = self._end or self._open.reason
-            return
-        if time_s - self._update_s > FROZEN_AFTER * refresh_s:
-            start_s = self._update_s + refresh_s  # up to its next refresh the value held was a true one
-            reason = f"the gauge froze {self._at(start_s)}: no update for {time_s - self._update_s:.1f} s"
-            self._open = Fault(start_s, math.inf, reason)
-
-    def _close(self, time_s: float) -> None:
-        if self._open is not None:
-            self._faults.append(replace(self._open, end_s=time_s))
-            self._open = None
+def _too_long(series: PowerSeries, held_s: float, refresh_s: float) -> str | None:
+    """Whether the run of repeats is beyond chance, given the share of repeats in all other updates."""
+    lengths = [max(1, round((to_s - from_s) / refresh_s)) for from_s, to_s, _ in series.holds()]
+    run = max(1, round(held_s / refresh_s))
+    lengths.remove(run)
+    if not lengths:
+        return None
+    repeats = (sum(lengths) - len(lengths) + 1) / (sum(lengths) + 2)  # never quite 0: Laplace's rule
+    chance = len(lengths) * repeats ** (run - 1)
+    return "it repeats itself nowhere else like that" if chance < BY_CHANCE else None

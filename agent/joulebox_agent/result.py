@@ -138,7 +138,7 @@ def _energy_per_image(
 ) -> EnergyPerImage:
     def interval(values_j: tuple[float | None, ...]) -> Interval | None:
         known = [v / w.images for v, w in zip(values_j, windows, strict=True) if v is not None]
-        return two_stage_interval(known, pilot_count) if len(known) >= 2 else None
+        return two_stage_interval(known, pilot_count, widening=energies.widening) if len(known) >= 2 else None
 
     gross, counter = interval(energies.gross_j), interval(energies.counter_j)
     net = None

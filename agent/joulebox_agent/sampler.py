@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from joulebox_agent.clock import Clock, SystemClock
-from joulebox_agent.faults import FaultWatch, Patience
+from joulebox_agent.watch import FaultWatch, Patience
 from joulebox_agent.sources.reading import EnergySource, Reading
 
 SENSOR_LOST_AFTER_S = Patience().lost_s

@@ -11,7 +11,7 @@ from typing import IO
 
 from joulebox_agent.clock import SystemClock
 from joulebox_agent.errors import SourceUnavailableError
-from joulebox_agent.faults import FaultWatch, Patience
+from joulebox_agent.watch import FaultWatch, Patience
 from joulebox_agent.sampler import SENSOR_LOST_AFTER_S, Sample, SampleLog
 from joulebox_agent.sampler_child import decode
 from joulebox_agent.sources.choose import Choice, choose
