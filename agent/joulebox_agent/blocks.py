@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from joulebox_agent.estimate import t_quantile
+from joulebox_agent.estimate import Interval, t_quantile
 
 Order = Literal["blocks", "sequence"]
 FALSE_ALARM = 0.05  # chance that a device that does not drift is flagged in one run
@@ -27,22 +27,22 @@ def shuffled(members: Iterable[int], seed: int, block: int) -> list[int]:
 
 @dataclass(frozen=True)
 class Drift:
-    """The control's first window beyond what its earlier ones let expect; `last_good` is the one before it.
+    """The control's first window beyond what its first ones let expect; `last_good` is the one before it.
 
-    All three in the unit of the values (joules or seconds an image).
+    seen, expected  in `unit` an image: "J", or "s" where no energy is known
     """
 
     index: int
-    value: float
-    expected: float
-    half_width: float
+    seen: float
+    expected: Interval
+    unit: str
 
     @property
     def last_good(self) -> int:
         return self.index - 1
 
 
-def control_drift(values: Sequence[float], pilot_count: int) -> Drift | None:
+def control_drift(values: Sequence[float], pilot_count: int, unit: str = "J") -> Drift | None:
     """The first control value outside the prediction interval of the pilot's values, or None.
 
     The interval of a single further value, mean +- t s sqrt(1 + 1/n), at a level divided by the number of
@@ -57,5 +57,6 @@ def control_drift(values: Sequence[float], pilot_count: int) -> Drift | None:
     half_width = t * spread * math.sqrt(1 + 1 / len(pilot))
     for offset, value in enumerate(later):
         if abs(value - mean) > half_width:
-            return Drift(len(pilot) + offset, value, mean, half_width)
+            expected = Interval(value=mean, low=mean - half_width, high=mean + half_width)
+            return Drift(len(pilot) + offset, value, expected, unit)
     return None

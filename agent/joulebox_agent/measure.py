@@ -7,7 +7,7 @@ from pathlib import Path
 from joulebox_agent.charging import Charging
 from joulebox_agent.clock import Clock, SystemClock
 from joulebox_agent.loop import RendererLoop
-from joulebox_agent.meter import Listener, Meter, Silent, StoppedError
+from joulebox_agent.meter import Listener, Meter, Silent
 from joulebox_agent.recording import Recording
 from joulebox_agent.rule import MeasureRule
 from joulebox_agent.sampler import SENSOR_LOST_AFTER_S, Sampler, Sampling
@@ -15,8 +15,6 @@ from joulebox_agent.sampler_process import SamplerProcess
 from joulebox_agent.session import Configuration, Session
 from joulebox_agent.sources.choose import Choice, choose
 from joulebox_agent.visit import Job, LoopFactory
-
-__all__ = ["Job", "Listener", "Measurement", "Silent", "StoppedError", "make_meter"]
 
 
 def make_meter(

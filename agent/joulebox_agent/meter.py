@@ -1,7 +1,7 @@
 """The machine while it is measured: its source under watch, its state, its idle times, its stop."""
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
@@ -9,7 +9,9 @@ from typing import Protocol
 from joulebox_agent.clock import Clock
 from joulebox_agent.conditions import Conditions, read_conditions, throttled
 from joulebox_agent.errors import AgentError
+from joulebox_agent.faults import stretch_fault
 from joulebox_agent.sampler import Sample, Sampling
+from joulebox_agent.series import PowerSeries
 from joulebox_agent.sources.choose import Choice
 
 LOOK_EVERY_S = 0.25  # how soon a plugged cable or a request to stop is noticed
@@ -69,6 +71,7 @@ class Meter:
         self.earlier: list[Sample] = []
         self.earlier_companions: list[Sample] = []
         self.idle: list[tuple[float, float]] = []
+        self._load_changes_s: list[float] = []
         self._reference: Conditions | None = None
 
     def start(self) -> None:
@@ -105,10 +108,26 @@ class Meter:
         self._sampler.pause(seconds)
 
     def refresh_s(self) -> float | None:
-        return self._sampler.refresh_s()
+        """The gauge's refresh interval as seen so far."""
+        return PowerSeries(self.samples()).refresh_s()
 
-    def void_reason(self, start_s: float, end_s: float) -> str | None:
+    def load_changed(self) -> None:
+        """Notes that rendering begins or ends now: a gauge that does not follow is frozen."""
+        self._load_changes_s.append(self.clock.now_s())
+
+    def passing_fault(self, start_s: float, end_s: float) -> str | None:
+        """What the samples showed at once (sleep, mains, a lost sensor) that voids a stretch, or None."""
         return self._sampler.void_reason(start_s, end_s)
+
+    def void_reasons(self, stretches: Sequence[tuple[float, float]]) -> list[str | None]:
+        """Why each stretch (start_s, end_s) must not be used, or None, after looking at all samples again."""
+        source = self.choice.source
+        series = PowerSeries(self.samples()) if source.quality != "none" and stretches else None
+        return [
+            self.passing_fault(start_s, end_s)
+            or (stretch_fault(series, start_s, end_s, source.primary, self._load_changes_s) if series else None)
+            for start_s, end_s in stretches
+        ]
 
     def trouble(self) -> str | None:
         """Why nothing more can be measured, or None. Raises StoppedError when that was asked for."""
@@ -146,7 +165,7 @@ class Meter:
                 self.pause(min(LOOK_EVERY_S, left_s))
             self.sample()
             end_s = self.clock.now_s()
-            reason = self.void_reason(start_s, end_s)
+            (reason,) = self.void_reasons([(start_s, end_s)])
             if reason is None:
                 self.idle.append((start_s, end_s))
                 return

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from joulebox_agent.clock import Clock, SystemClock
-from joulebox_agent.watch import FaultWatch, Patience
 from joulebox_agent.sources.reading import EnergySource, Reading
+from joulebox_agent.watch import FaultWatch, Patience
 
 SENSOR_LOST_AFTER_S = Patience().lost_s
 HIGHEST_CPU_SHARE = 0.005  # of one core, for a sampler that does not disturb what it measures
@@ -56,9 +56,6 @@ class Sampling(Protocol):
     def trouble(self) -> str | None:
         """Why nothing more can be measured, or None."""
 
-    def refresh_s(self) -> float | None:
-        """The gauge's refresh interval as seen so far."""
-
     def cpu_share(self) -> float:
         """CPU time of the sampling as a share of one core since it began."""
 
@@ -88,10 +85,6 @@ class SampleLog:
     def trouble(self) -> str | None:
         with self._lock:
             return self._watch.end()
-
-    def refresh_s(self) -> float | None:
-        with self._lock:
-            return self._watch.refresh_s()
 
     def _keep(self, sample: Sample) -> None:
         with self._lock:

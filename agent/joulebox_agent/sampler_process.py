@@ -11,10 +11,10 @@ from typing import IO
 
 from joulebox_agent.clock import SystemClock
 from joulebox_agent.errors import SourceUnavailableError
-from joulebox_agent.watch import FaultWatch, Patience
 from joulebox_agent.sampler import SENSOR_LOST_AFTER_S, Sample, SampleLog
 from joulebox_agent.sampler_child import decode
 from joulebox_agent.sources.choose import Choice, choose
+from joulebox_agent.watch import FaultWatch, Patience
 
 READY_WITHIN_S = 30.0
 ANSWER_WITHIN_S = 2.0

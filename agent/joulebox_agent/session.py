@@ -14,7 +14,7 @@ from joulebox_agent.meter import LOOK_EVERY_S, Meter
 from joulebox_agent.recording import Recording, VoidWindow
 from joulebox_agent.rule import MeasureRule
 from joulebox_agent.series import PowerSeries
-from joulebox_agent.visit import Job, LoopFactory, Visit
+from joulebox_agent.visit import Ending, Job, LoopFactory, Visit
 
 LONGEST_TIMED_WINDOW_S = 5.0  # seconds are known sooner than joules
 BLOCKS_BEYOND = 2  # times the most windows: void windows and configurations that need more take further blocks
@@ -141,7 +141,17 @@ class Session:
                 record.note(note)
             if len(self._configurations) > 1:
                 self._listener.note(f"configuration {index + 1}: {configuration.label}")
-            ending = Visit(
+            ending = self._one_run(index, block, enough)
+            if ending == "time":
+                self._give_up_in_time(index)
+            if ending in ("enough", "time", "void", "over"):
+                return
+
+    def _one_run(self, index: int, block: int, enough: Callable[[], bool]) -> Ending:
+        """One run of the renderer; among several configurations its failure voids its own only."""
+        configuration, record = self._configurations[index], self.records[index]
+        try:
+            return Visit(
                 configuration.job,
                 self._timing_rule() if configuration.timed_only else self._rule,
                 self._meter,
@@ -153,10 +163,11 @@ class Session:
                 block=block,
                 make_loop=self._make_loop,
             ).run()
-            if ending == "time":
-                self._give_up_in_time(index)
-            if ending in ("enough", "time", "void", "over"):
-                return
+        except RendererError as error:
+            if len(self.records) == 1:
+                raise
+            record.make_void(str(error), environment=False)
+            return "void"
 
     def _enough(self, index: int) -> Callable[[], bool]:
         """In a block one more window; in a sequence what Stein asks for, of the control one."""
@@ -180,35 +191,37 @@ class Session:
 
     def _look_back(self) -> None:
         """Voids windows that a fault reaches that was noticed later (a gauge that froze shows it late)."""
-        for record in self.records:
-            for at in reversed(range(len(record.windows))):
-                window = record.windows[at]
-                reason = self._meter.void_reason(window.start_s, window.end_s)
-                if reason is not None:
-                    record.voided.append(VoidWindow(window.start_s, window.end_s, window.images, reason))
-                    del record.windows[at], record.blocks[at]
+        found = [(record, window) for record in self.records for window in record.windows]
+        reasons = self._meter.void_reasons([(window.start_s, window.end_s) for _, window in found])
+        for (record, window), reason in zip(found, reasons, strict=True):
+            if reason is not None:
+                record.voided.append(VoidWindow(window.start_s, window.end_s, window.images, reason))
+                at = record.windows.index(window)
+                del record.windows[at], record.blocks[at]
 
     def _decide(self, index: int) -> None:
         """The running estimate after every window, and when the pilot is complete, Stein's second stage."""
-        values, unit = self._values(index)
+        values, unit, widening = self._values(index)
         if len(values) < 2:
             return
-        interval = two_stage_interval(values, self._rule.min_windows)
+        interval = two_stage_interval(values, self._rule.min_windows, widening=widening)
         self._estimate = f"{interval.value:.4g} {unit} an image ± {interval.half_width:.2g}"
         if not self._decided[index] and len(self.records[index].windows) >= self._wanted[index]:
             self._decided[index] = True
-            needed = windows_needed(values[: max(2, self._rule.min_windows)], self._rule.half_width)
+            pilot = values[: max(2, self._rule.min_windows)]
+            needed = windows_needed(pilot, self._rule.half_width, widening=widening)
             self._wanted[index] = min(self._rule.max_windows, max(self._wanted[index], needed))
 
-    def _values(self, index: int) -> tuple[list[float], str]:
-        """What decides the number of windows: joules an image, seconds an image where no energy is known."""
+    def _values(self, index: int) -> tuple[list[float], str, float]:
+        """What decides the number of windows: joules an image, seconds an image where no energy is known;
+        their unit; how much drift widens their interval."""
         record = self.records[index]
         series = PowerSeries(self._meter.samples())
         found = window_energies(series, record.source, record.windows, record.source_report.resolution_j)
         joules = [g / w.images for g, w in zip(found.gross_j, record.windows, strict=True) if g is not None]
         if joules:
-            return joules, "J"
-        return [w.image_time_s / w.images for w in record.windows], "s"
+            return joules, "J", found.widening
+        return [w.image_time_s / w.images for w in record.windows], "s", 1.0
 
     def _show(self, index: int, elapsed_s: float) -> None:
         self._listener.progress(elapsed_s, len(self.records[index].windows), self._wanted[index], self._estimate)
@@ -266,10 +279,10 @@ class Session:
         if len(self.records) < 2 or self._configurations[control].timed_only:
             return
         record = self.records[control]
-        values, unit = self._values(control)
+        values, unit, _ = self._values(control)
         if len(values) != len(record.windows):
             return
-        self.drift = control_drift(values, self._rule.min_windows)
+        self.drift = control_drift(values, self._rule.min_windows, unit)
         if self.drift is None:
             return
         good_until_s = record.windows[self.drift.last_good].end_s
@@ -277,17 +290,26 @@ class Session:
             later = sum(window.end_s > good_until_s for window in other.windows)
             if later:
                 other.suspect = (
-                    f"the control configuration drifted: {self.drift.value:.4g} {unit} an image where its first "
-                    f"{self._rule.min_windows} windows let expect {self.drift.expected:.4g} ± "
-                    f"{self.drift.half_width:.2g}; {later} of {len(other.windows)} windows are later than its last "
-                    "good one"
+                    f"the control configuration drifted: {self.drift.seen:.4g} {unit} an image where its first "
+                    f"{self._rule.min_windows} windows let expect {self.drift.expected.value:.4g} ± "
+                    f"{self.drift.expected.half_width:.2g}; {later} of {len(other.windows)} windows are later than "
+                    "its last good one"
                 )
 
     def _keep_image(self, index: int) -> None:
-        """Makes sure the last picture is on disk: a renderer that was stopped may not have written it."""
+        """Makes sure the last picture is on disk: a renderer that was stopped may not have written it. Without
+        room for it the measurement still stands."""
         record, job = self.records[index], self._configurations[index].job
         if record.void is not None or record.last_image is None or job.image_file.exists():
             return
+        try:
+            self._render_once(record, record.last_image.pixel_sha256, job)
+        except RendererError as error:
+            record.note(f"the picture was not kept: {error}")
+        if not job.image_file.exists():
+            record.note("the renderer wrote no picture")
+
+    def _render_once(self, record: Recording, pixel_sha256: str, job: Job) -> None:
         arguments = [*job.arguments, "-o", str(job.image_file), "--max-images", "1"]
         clock = self._meter.clock
         with self._make_loop(job.command, arguments, clock, lambda line: None) as loop:
@@ -297,7 +319,5 @@ class Session:
                 heard_s = heard_s if event is None else clock.now_s()
                 if clock.now_s() - heard_s > self._rule.silence_s:
                     raise RendererError(f"The renderer said nothing for {self._rule.silence_s:g} s; it was ended.")
-                if isinstance(event, ImageEvent) and event.pixel_sha256 != record.last_image.pixel_sha256:
+                if isinstance(event, ImageEvent) and event.pixel_sha256 != pixel_sha256:
                     record.make_void("the picture changed when it was rendered once more to keep it", False)
-        if not job.image_file.exists():
-            record.note("the renderer wrote no picture")

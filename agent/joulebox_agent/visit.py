@@ -1,5 +1,6 @@
 """One run of the renderer for one configuration: a warm-up image, then windows."""
 
+import math
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from joulebox_agent.recording import Recording, VoidWindow
 from joulebox_agent.rule import SLOWEST_REFRESH_S, MeasureRule
 from joulebox_agent.windows import Window
 
+LOOK_AT_REFRESH_S = 10.0
 MOST_VOID = 10  # void windows in a row, after which a configuration is not measurable here and now
 Ending = Literal["enough", "time", "void", "trouble", "over", "low charge"]
 """void: the configuration is at fault; trouble: the source is, ask `Meter.trouble`."""
@@ -77,6 +79,7 @@ class Visit:
         self._void_in_a_row = 0
         self._ready_s: float | None = None
         self._ending: Ending | None = None
+        self._looked_s, self._refresh_s = -math.inf, SLOWEST_REFRESH_S
 
     def run(self) -> Ending:
         """Adds windows to the recording. Raises RendererError, StoppedError."""
@@ -85,6 +88,7 @@ class Visit:
             arguments += ["--max-images", "1"]
         words = self._meter.listener.words
         try:
+            self._meter.load_changed()
             with self._make_loop(self._job.command, arguments, self._clock, words) as loop:
                 heard_s = self._clock.now_s()
                 while self._ending is None and not self._finished():
@@ -96,6 +100,7 @@ class Visit:
                         raise RendererError(f"The renderer said nothing for {self._rule.silence_s:g} s; it was ended.")
                 loop.stop(self._patience_s())
         finally:
+            self._meter.load_changed()
             if self._ready_s is not None:
                 self._record.spent_s += self._clock.now_s() - self._ready_s
         self._record.rest = self._open if self._open is not None and self._open.images else None
@@ -141,7 +146,7 @@ class Visit:
             return
         record.images.append(image)
         if self._open is None:
-            if self._meter.void_reason(image.end_s, self._clock.now_s() + LOOK_EVERY_S) is None:
+            if self._meter.passing_fault(image.end_s, self._clock.now_s() + LOOK_EVERY_S) is None:
                 self._begin(image.end_s)
             return
         self._open.add(image, stages)
@@ -158,13 +163,17 @@ class Visit:
         refreshes = self._rule.refreshes_a_window
         if not refreshes or self._meter.choice.source.quality == "none" or not self._rule.meter:
             return self._rule.window_s
-        return max(self._rule.window_s, refreshes * (self._meter.refresh_s() or SLOWEST_REFRESH_S))
+        now_s = self._clock.now_s()
+        if now_s - self._looked_s > LOOK_AT_REFRESH_S:
+            self._looked_s, self._refresh_s = now_s, self._meter.refresh_s() or SLOWEST_REFRESH_S
+        return max(self._rule.window_s, refreshes * self._refresh_s)
 
     def _close(self, window: Window) -> None:
         """Judges a window that is long enough, and opens the next where it ended."""
         self._meter.sample()
         before, self._state = self._state, self._meter.conditions()
-        reason = self._meter.void_reason(window.start_s, window.end_s) or self._meter.state_change(before, self._state)
+        (reason,) = self._meter.void_reasons([(window.start_s, window.end_s)])
+        reason = reason or self._meter.state_change(before, self._state)
         if reason is not None:
             self._make_void(window, reason)
         else:
@@ -197,7 +206,7 @@ class Visit:
             self._end_by(trouble)
             return True
         if self._open is not None and self._rule.meter:
-            reason = self._meter.void_reason(self._open.start_s, self._clock.now_s())
+            reason = self._meter.passing_fault(self._open.start_s, self._clock.now_s())
             if reason is not None:
                 self._make_void(self._open, reason)
         return self._ready_s is not None and self._time_up(self._ready_s)

@@ -1,19 +1,15 @@
-"""From samples to the stretches of time in which no watt can be trusted, and to the end of all measuring.
+"""From samples, as they come, to the stretches of time that void a window, and to the end of all measuring.
 
 A fault voids the windows that it touches and the measurement goes on; only what will not pass ends it: mains
-that stays, a sensor that is gone, a gauge that never moves again.
+that stays, a sensor that is gone. What no single sample shows (a frozen gauge) is in faults.py.
 """
 
 import math
 from dataclasses import dataclass, replace
-from statistics import median
 
 from joulebox_agent.sources.reading import Primary, Reading
 
 SLEPT_AT_LEAST_S = 0.1
-FROZEN_AFTER = 5  # refreshes without an update
-UPDATES_TO_KNOW_REFRESH = 6
-FROZEN_FOR_GOOD_S = 300.0
 UNREAD_AFTER_S = 10.0  # no good sample for so long leaves the power between two of them unknown
 STOOD_STILL_S = 5.0  # between two polls; a loaded machine delays them by far less
 
@@ -44,7 +40,7 @@ class FaultWatch:
 
     start_s   when sampling began; the sentences count from there
     poll_s    the source's polling interval
-    primary   a counter may legitimately stand still, only a gauge can freeze
+    primary   what gives the energy: a counter that starts anew matters where it does
     """
 
     def __init__(self, start_s: float, poll_s: float, primary: Primary, patience: Patience | None = None) -> None:
@@ -58,8 +54,6 @@ class FaultWatch:
         self._bad: Reading | None = None  # the reading since which nothing good came
         self._raw: tuple[int | float, ...] | None = None
         self._epoch = 0
-        self._update_s = start_s
-        self._intervals_s: list[float] = []
         self._end: str | None = None
 
     def add(self, time_s: float, slept_s: float, reading: Reading) -> None:
@@ -74,7 +68,6 @@ class FaultWatch:
             self._close(time_s)
             self._bad = None
         self._judge_packs(time_s, reading)
-        self._judge_updates(time_s, reading)
         self._good_s = time_s
         self._raw, self._epoch = reading.raw, reading.epoch
 
@@ -91,10 +84,6 @@ class FaultWatch:
         """Why nothing more can be measured, or None."""
         return self._end
 
-    def refresh_s(self) -> float | None:
-        """Median time between updates as seen so far; None with fewer than six of them."""
-        return median(self._intervals_s) if len(self._intervals_s) >= UPDATES_TO_KNOW_REFRESH else None
-
     def _at(self, time_s: float) -> str:
         return f"at {time_s - self._start_s:.1f} s"
 
@@ -108,7 +97,6 @@ class FaultWatch:
         else:
             return
         self.void(min(last_s, time_s), max(last_s, time_s), reason)
-        self._update_s = time_s  # the gauge had no chance to be seen moving
 
     def _judge_bad(self, time_s: float, reading: Reading) -> None:
         """A refusal voids from the last good sample on; errors do when they last too long to bridge."""
@@ -133,26 +121,8 @@ class FaultWatch:
             return
         if len(reading.raw) != len(self._raw):
             self.void(self._good_s, time_s, f"the set of batteries changed {self._at(time_s)}")
-            self._raw = None
         elif self._primary == "counter":
             self.void(self._good_s, time_s, f"the counter lost its thread {self._at(time_s)}")
-
-    def _judge_updates(self, time_s: float, reading: Reading) -> None:
-        if self._raw is None or reading.raw != self._raw:
-            if self._raw is not None:
-                self._intervals_s.append(time_s - self._update_s)
-            self._update_s = time_s
-            self._close(time_s)
-            return
-        refresh_s = self.refresh_s()
-        if self._primary != "power" or refresh_s is None or self._open is not None:
-            if self._open is not None and time_s - self._update_s > max(FROZEN_FOR_GOOD_S, 20 * (refresh_s or 0.0)):
-                self._end = self._end or self._open.reason
-            return
-        if time_s - self._update_s > FROZEN_AFTER * refresh_s:
-            start_s = self._update_s + refresh_s  # up to its next refresh the value held was a true one
-            reason = f"the gauge froze {self._at(start_s)}: no update for {time_s - self._update_s:.1f} s"
-            self._open = Fault(start_s, math.inf, reason)
 
     def _close(self, time_s: float) -> None:
         if self._open is not None:

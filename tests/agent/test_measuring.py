@@ -14,7 +14,8 @@ from agent_testing import FAKE_COMMAND, RENDERER, ScriptedClock
 from joulebox_agent.document import MeasureDocument
 from joulebox_agent.errors import RendererError
 from joulebox_agent.loop import RendererLoop
-from joulebox_agent.measure import Job, Measurement, StoppedError
+from joulebox_agent.measure import Measurement
+from joulebox_agent.meter import StoppedError
 from joulebox_agent.recording import Recording
 from joulebox_agent.result import build_result
 from joulebox_agent.rule import MeasureRule
@@ -22,6 +23,7 @@ from joulebox_agent.sampler import Sampler
 from joulebox_agent.sources.choose import Choice, choose
 from joulebox_agent.sources.reading import Reading
 from joulebox_agent.sources.replay import Replay, bundled_trace
+from joulebox_agent.visit import Job
 
 Agent = Callable[..., tuple[int, str, str]]
 SHORT = ("--renderer", RENDERER, "--window-s", "0.15", "--min-windows", "3", "--max-windows", "3")
@@ -280,7 +282,7 @@ def test_the_renderer_never_outlives_its_block() -> None:
 def test_numbers_at_the_border_carry_their_unit(tmp_path: Path) -> None:
     """Every numeric field of the document says its unit, or is in the list of what has none."""
     unitless = {"schema", "images", "windows", "confidence", "rays", "threads", "value", "low", "high", "equation_2",
-                "battery_cycle_count", "throttle_count", "load_1_min"}  # fmt: skip
+                "block", "battery_cycle_count", "throttle_count", "load_1_min"}  # fmt: skip
     suffixes = ("_s", "_j", "_w", "_c", "_share", "_wh", "_m")
     record = measured(tmp_path)
     document = build_result(record, RULE, tmp_path / "last.exr").document.to_json()

@@ -12,11 +12,13 @@ from joulebox_agent.document import MeasureDocument
 from joulebox_agent.errors import AgentError, UsageError
 from joulebox_agent.estimate import Interval
 from joulebox_agent.loop import renderer_command
-from joulebox_agent.measure import Job, Listener, Measurement
+from joulebox_agent.measure import Measurement
+from joulebox_agent.meter import Listener
 from joulebox_agent.progress import shown_progress
 from joulebox_agent.result import Result, build_result
 from joulebox_agent.rule import make_rule
 from joulebox_agent.sources.choose import Choice, choose
+from joulebox_agent.visit import Job
 
 SOURCE_HELP = "auto, battery_gauge, battery_counter, rapl, replay[:FILE][@REFRESH_S] or none."
 
