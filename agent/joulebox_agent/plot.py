@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import altair as alt
 
@@ -14,7 +14,6 @@ WIDTH, HEIGHT, ZOOM_HEIGHT = 860, 260, 200
 MOST_POINTS = 4000  # of a line of 860 pixels
 ZOOMED_STAGES = 40  # bands that can still be told apart
 KINDS = {"window": "#dbe9f6", "idle": "#e8e8e8", "void": "#f6c9c3"}
-STAGE_COLOURS = "tableau10"
 
 
 def power_chart(records: Sequence[Recording], labels: Sequence[str] = ()) -> alt.VConcatChart:
@@ -43,7 +42,8 @@ def power_chart(records: Sequence[Recording], labels: Sequence[str] = ()) -> alt
                 width=WIDTH, height=ZOOM_HEIGHT, title="the first images of a window, by stage"
             )
         )
-    return alt.vconcat(*charts).resolve_scale(color="independent").configure_view(stroke="#cccccc")
+    chart: alt.VConcatChart = alt.vconcat(*charts).resolve_scale(color="independent").configure_view(stroke="#cccccc")
+    return chart
 
 
 def save_chart(chart: alt.VConcatChart, path: Path) -> None:
@@ -51,12 +51,14 @@ def save_chart(chart: alt.VConcatChart, path: Path) -> None:
     chart.save(str(path), format=plot_format(path), scale_factor=1.5)
 
 
-def plot_format(path: Path) -> str:
+def plot_format(path: Path) -> Literal["png", "svg"]:
     """`png` or `svg`. Raises UsageError for another ending."""
-    kind = path.suffix.lower().lstrip(".")
-    if kind not in ("png", "svg"):
-        raise UsageError(f"The plot {path} must end in .png or .svg.")
-    return kind
+    match path.suffix.lower():
+        case ".png":
+            return "png"
+        case ".svg":
+            return "svg"
+    raise UsageError(f"The plot {path} must end in .png or .svg.")
 
 
 def _title(records: Sequence[Recording]) -> Any:
@@ -140,7 +142,7 @@ def _bands(record: Recording, zero_s: float) -> list[dict[str, Any]]:
     """The first stage intervals of the first window, in the order they ran."""
     if not record.windows:
         return []
-    bands = [
+    bands: list[dict[str, Any]] = [
         {"stage": name, "start_s": start_s - zero_s, "end_s": end_s - zero_s}
         for name, totals in record.windows[0].stages.items()
         for start_s, end_s in totals.intervals
@@ -148,10 +150,10 @@ def _bands(record: Recording, zero_s: float) -> list[dict[str, Any]]:
     return sorted(bands, key=lambda band: float(band["start_s"]))[:ZOOMED_STAGES]
 
 
-def _line(points: list[dict[str, float | None]], shown: list[float] | None) -> alt.Chart:
+def _line(points: list[dict[str, float | None]], shown: list[float] | None) -> Any:
     scale = alt.Scale(domain=shown, nice=False) if shown else alt.Scale(nice=False)
     return (
-        alt.Chart(alt.Data(values=points))
+        alt.Chart(alt.InlineData(values=points))
         .mark_line(interpolate="step-after", color="#1f4e79", strokeWidth=1.3, clip=True)
         .encode(
             x=alt.X("time_s:Q", title="time [s]", scale=scale),
@@ -160,9 +162,9 @@ def _line(points: list[dict[str, float | None]], shown: list[float] | None) -> a
     )
 
 
-def _spans(stretches: list[dict[str, object]]) -> alt.Chart:
+def _spans(stretches: list[dict[str, object]]) -> Any:
     return (
-        alt.Chart(alt.Data(values=stretches))
+        alt.Chart(alt.InlineData(values=stretches))
         .mark_rect(stroke="#ffffff", strokeWidth=1)
         .encode(
             x=alt.X("start_s:Q", title="time [s]"),
@@ -176,14 +178,14 @@ def _spans(stretches: list[dict[str, object]]) -> alt.Chart:
     )  # fmt: skip
 
 
-def _stages(bands: list[dict[str, Any]], shown: list[float]) -> alt.Chart:
+def _stages(bands: list[dict[str, Any]], shown: list[float]) -> Any:
     return (
-        alt.Chart(alt.Data(values=bands))
+        alt.Chart(alt.InlineData(values=bands))
         .mark_rect(opacity=0.35, clip=True)
         .encode(
             x=alt.X("start_s:Q", title="time [s]", scale=alt.Scale(domain=shown, nice=False)),
             x2="end_s:Q",
-            color=alt.Color("stage:N", title=None, scale=alt.Scale(scheme=STAGE_COLOURS),
+            color=alt.Color("stage:N", title=None, scale=alt.Scale(scheme="tableau10"),
                             legend=alt.Legend(orient="top-right")),
         )
     )  # fmt: skip
