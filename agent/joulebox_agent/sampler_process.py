@@ -128,7 +128,7 @@ class SamplerProcess(SampleLog):
         except ValueError:
             told = {"error": f"it left with code {self._process.wait()}"}
         if "error" in told or told["method"] != self._method:
-            self._process.kill()
+            _end(self._process)
             reason = told.get("error") or f"it found {told['method']} where {self._method} was"
             raise SourceUnavailableError(f"The sampler cannot read {self._method}: {reason}")
         self._reader = threading.Thread(target=self._read, args=(self._process,), name="samples", daemon=True)
@@ -173,7 +173,7 @@ class SamplerProcess(SampleLog):
                 raise SourceUnavailableError(f"the sampler died again {at} (code {code})")
             self._launch()
             if self._ended.is_set() and self._process is not None:  # we were told to stop meanwhile
-                self._process.kill()
+                _end(self._process)
         except SourceUnavailableError as error:
             with self._news:
                 self._died = str(error)
@@ -181,6 +181,15 @@ class SamplerProcess(SampleLog):
             return
         with self._lock:
             self._watch.void(last_s, self._clock.now_s(), f"the sampler died {at} (code {code}) and was started again")
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    """Ends a child that is of no use."""
+    process.kill()
+    process.wait()
+    for stream in (process.stdin, process.stdout):
+        if stream is not None:
+            stream.close()
 
 
 def sampler_cost(name: str = "auto", sysfs_root: Path = Path("/sys"), seconds: float = 2.0) -> float:
