@@ -1,25 +1,41 @@
 """Energy of every window of a measurement, and what the source could not resolve."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from joulebox_agent.estimate import Interval, two_stage_interval
+import numpy as np
+
+from joulebox_agent import drift
+from joulebox_agent.calibration import Calibration
+from joulebox_agent.estimate import Interval, t_quantile
+from joulebox_agent.lag import Lag, fit_lag
 from joulebox_agent.series import PowerSeries
-from joulebox_agent.sources.reading import EnergySource
+from joulebox_agent.sources.reading import EnergySource, Primary
 from joulebox_agent.windows import Window
 
 ADVISED_REFRESHES = 15
 FEWEST_STEPS = 5  # of a counter over all windows, below which its difference says little
 DISAGREEMENT_NOTED, DISAGREEMENT_REJECTED = 0.05, 1.0
 IDLE_PIECES = 3
+IDLE_WITHOUT_DRIFT = 0.5  # the blocks before and after lie minutes apart
+PIECE_UPDATES, MOST_PIECES = 5, 4  # pieces of a window, in which drift within it shows
+NO_LAG = Lag(0.0, ())
+NODES_A_STAGE = 4  # of a fast source in one run of a stage, below which neighbouring stages blur
 
 
 @dataclass(frozen=True)
 class WindowEnergies:
-    """gross_j, counter_j: one value a window, None where unknown. notes: what a reader must know."""
+    """gross_j, counter_j: one value a window, None where unknown. notes: what a reader must know.
+
+    widening  factor that drift between the windows asks for, for two_stage_interval and windows_needed
+    lag_s     the gauge shows the mean of this many seconds, as fitted; 0 where nothing tells it
+    """
 
     gross_j: tuple[float | None, ...]
     counter_j: tuple[float | None, ...]
     notes: tuple[str, ...]
+    widening: float = 1.0
+    lag_s: float = 0.0
 
 
 def window_energies(
@@ -32,14 +48,16 @@ def window_energies(
     nothing = (None,) * len(windows)
     if source.quality == "none" or not windows:
         return WindowEnergies(nothing, nothing, ())
-    gross_j = tuple(series.energy_j(w.start_s, w.end_s, source.primary) for w in windows)
+    lag = fit_lag(series, [(w.start_s, w.end_s) for w in windows]) if source.primary == "power" else NO_LAG
+    gross_j = tuple(_gross_j(series, source.primary, window, lag, row) for row, window in enumerate(windows))
     counter_j = tuple(series.energy_j(w.start_s, w.end_s, "counter") for w in windows)
     notes: list[str] = []
     counter_bound = _coarse_counter(counter_j, windows, resolution_j)
     if counter_bound:
         counter_j = nothing
     if source.primary == "counter":
-        return WindowEnergies(counter_j, counter_j, (counter_bound,) if counter_bound else ())
+        wider = 1.0 if counter_bound else drift_widening(series, "counter", windows, 0.0)
+        return WindowEnergies(counter_j, counter_j, (counter_bound,) if counter_bound else (), wider)
     gauge_bound = _slow_gauge(series, windows)
     if gauge_bound:
         return WindowEnergies(nothing, nothing, (gauge_bound,))
@@ -50,7 +68,35 @@ def window_energies(
         if not 1 / (1 + DISAGREEMENT_REJECTED) <= 1 + disagreement <= 1 + DISAGREEMENT_REJECTED:
             counter_j = nothing
             notes[-1] += " and is rejected"
-    return WindowEnergies(gross_j, counter_j, tuple(notes))
+    wider = drift_widening(series, "power", windows, lag.lag_s)
+    return WindowEnergies(gross_j, counter_j, tuple(notes), wider, lag.lag_s)
+
+
+def _gross_j(series: PowerSeries, primary: Primary, window: Window, lag: Lag, row: int) -> float | None:
+    energy_j = series.energy_j(window.start_s, window.end_s, primary, lag.lag_s)
+    return energy_j + lag.edge_j[row] if energy_j is not None and primary == "power" else energy_j
+
+
+def drift_widening(series: PowerSeries, primary: Primary, windows: Sequence[Window], lag_s: float) -> float:
+    """How much wider than their spread says the mean of the windows may be off; see drift.widening.
+
+    Every window is cut into the same number of pieces of whole images, each of PIECE_UPDATES updates or more;
+    1 where a window does not hold two such pieces.
+    """
+    updates = min(series.update_count(w.start_s, w.end_s) for w in windows)
+    count = min(MOST_PIECES, updates // PIECE_UPDATES, *(w.images for w in windows))
+    if count < 2:
+        return 1.0
+    starts_s, lengths_s, values_j = [], [], []
+    for window in windows:
+        for start_s, end_s, images in window.pieces(count):
+            energy_j = series.energy_j(start_s, end_s, primary, lag_s)
+            if energy_j is None or end_s <= start_s:
+                return 1.0
+            starts_s.append(start_s)
+            lengths_s.append(end_s - start_s)
+            values_j.append(energy_j / images)
+    return drift.widening(np.array(values_j), np.array(starts_s), np.array(lengths_s), len(windows))
 
 
 def _coarse_counter(
@@ -100,18 +146,78 @@ def _disagreement(gross_j: tuple[float | None, ...], counter_j: tuple[float | No
     return sum(c for _, c in both) / gauge_j - 1 if gauge_j > 0 else None
 
 
-def idle_power(series: PowerSeries, source: EnergySource, blocks: list[tuple[float, float]]) -> Interval | None:
+def idle_power(
+    series: PowerSeries, source: EnergySource, blocks: list[tuple[float, float]], lag_s: float = 0.0
+) -> Interval | None:
     """Mean idle power [W] over blocks (start_s, end_s), its interval from thirds of every block.
 
-    Thirds, because single samples of a gauge are autocorrelated. None when a third holds no update.
+    Thirds, because single samples of a gauge are autocorrelated; how far the blocks drift apart is part of the
+    interval (drift.py). The beginning of a block, in which the gauge (lag_s) still shows what was before, is
+    left out. None when a third holds no update.
     """
+    settle_s = max(lag_s, series.refresh_s() or 0.0) if source.primary == "power" else 0.0
+    starts_s: list[float] = []
+    lengths_s: list[float] = []
     pieces_w: list[float] = []
-    for start_s, end_s in blocks:
+    for block_start_s, end_s in blocks:
+        start_s = block_start_s + settle_s
         length_s = (end_s - start_s) / IDLE_PIECES
         for piece in range(IDLE_PIECES):
             from_s = start_s + piece * length_s
-            energy_j = series.energy_j(from_s, from_s + length_s, source.primary)
-            if energy_j is None or series.update_count(from_s, from_s + length_s) == 0:
+            if length_s <= 0 or series.update_count(from_s, from_s + length_s) == 0:
                 return None
+            energy_j = series.energy_j(from_s, from_s + length_s, source.primary)
+            if energy_j is None:
+                return None
+            starts_s.append(from_s)
+            lengths_s.append(length_s)
             pieces_w.append(energy_j / length_s)
-    return two_stage_interval(pieces_w, len(pieces_w)) if len(pieces_w) >= 2 else None
+    if not pieces_w:
+        return None
+    fitted = drift.fit(
+        np.ones((len(pieces_w), 1)), np.array(pieces_w), np.array(starts_s), np.array(lengths_s), IDLE_WITHOUT_DRIFT
+    )
+    value = float(fitted.coefficients[0])
+    half = t_quantile(fitted.degrees_of_freedom) * float(fitted.covariance[0, 0]) ** 0.5
+    return Interval(value=value, low=value - half, high=value + half)
+
+
+def integrated_stage_energies(
+    series: PowerSeries,
+    stages: Mapping[str, Sequence[tuple[float, float]]],
+    total_j: float,
+    windows: Sequence[tuple[float, float]],
+    primary: Primary = "counter",
+    calibration: Calibration | None = None,
+) -> dict[str, float] | None:
+    """Energy [J] of every stage over its own intervals, scaled so that all the windows' time sums to total_j.
+
+    series       of a source fast enough to resolve a stage (RAPL, a fast replay)
+    stages       name -> intervals (start_s, end_s) within the windows; see windows.stage_intervals
+    total_j      energy of the windows (start_s, end_s) as the gross source tells it: the scale
+    calibration  P_battery = a + b P_rapl, applied before the scale; None: the share is RAPL's own
+    None where the source cannot resolve the stages: fewer than 4 of its nodes in a stage's median interval.
+    """
+    node_s = series.node_s(primary)
+    spans = [end_s - start_s for intervals in stages.values() for start_s, end_s in intervals]
+    if node_s is None or not spans:
+        return None
+    if any(
+        float(np.median([e - s for s, e in intervals])) < NODES_A_STAGE * node_s
+        for intervals in stages.values()
+        if intervals
+    ):
+        return None
+    at_battery: dict[str, float] = {}
+    for name, intervals in {**stages, "": windows}.items():
+        energies = [series.energy_j(start_s, end_s, primary) for start_s, end_s in intervals]
+        known = [energy_j for energy_j in energies if energy_j is not None]
+        if len(known) < len(energies):
+            return None
+        length_s = sum(end_s - start_s for start_s, end_s in intervals)
+        fixed_j, slope = (0.0, 1.0) if calibration is None else (calibration.a_w * length_s, calibration.b)
+        at_battery[name] = fixed_j + slope * sum(known)
+    whole_j = at_battery.pop("")
+    if whole_j <= 0:
+        return None
+    return {name: energy_j * total_j / whole_j for name, energy_j in at_battery.items()}
