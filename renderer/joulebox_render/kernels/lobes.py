@@ -114,7 +114,8 @@ def lobe_shadow_rays(tables, light, count, fan, columns, lobes, first, last, sha
     """As lighting.shadow_rays for the lobes [first, last), each followed by `fan` rays besides; not for the sky.
 
     Only samples that the lobe reflects are written into shadow (ShadowRays), and of those that are FAINT a part. weight
-    times the light's radiance and the lobe's albedo is what each reflects, as its share between samples and rays of the lobe.
+    times the light's radiance and the lobe's albedo is what each reflects, as its share between samples and
+    rays of the lobe.
     """
     written, limit, weight = 0, shadow.limit, shadow.weight
     # Rays cannot meet a point.
