@@ -25,6 +25,7 @@ FRONT: list[Values] = [
     {"preset": "draft", "samples_per_pixel": 2, "shadow_rays": 4, "caustic_photons": 60_000},
     {"preset": "draft", "final_gather_rays": 100, "global_photons": 20_000},
     {"preset": "draft", "final_gather_rays": 256, "caustic_photons": 60_000},
+    {"preset": "draft", "caustic_photons": 60_000, "global_photons": 100_000, "gather_distance_m": 0.02},
     {"preset": "draft", "irradiance_cache_tolerance": 1.5},
     {"preset": "draft", "irradiance_cache_tolerance": 1.5, "final_gather_rays": 256, "caustic_photons": 60_000},
     {"irradiance_cache_tolerance": 1.2, "samples_per_pixel": 4},

@@ -112,6 +112,8 @@ def peak_rss_bytes(scene: str, *assignments: str) -> int:
 def memory_rows(say: Say, full: bool) -> list[Row]:
     """Peak memory at the thesis' size, and at a big one."""
     say("memory at 256x256")
+    # Compiling takes more memory than rendering, and happens once.
+    run_python(COMMAND, "warm-up")
     peaks = {scene: peak_rss_bytes(scene, "width=256", "height=256") for scene in MEMORY_SCENES}
     rows = [_memory_row("256x256", 500e6, peaks)]
     if full:

@@ -99,6 +99,15 @@ def test_render_writes_picture_preview_and_report(tmp_path: Path) -> None:
     assert document["peak_rss_bytes"] > 10_000_000
 
 
+@pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="only Linux counts a starter's memory")
+def test_peak_memory_is_not_that_of_whoever_started_the_renderer() -> None:
+    """A starter that holds 400 MB is larger than an imported renderer, which takes about 150 MB."""
+    held = np.ones(50_000_000)
+    code = "from joulebox_render.session import peak_rss_bytes; print(peak_rss_bytes())"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert 20e6 < int(said) < held.nbytes
+
+
 def test_stages_add_up_to_the_image_in_both_bookings(call: Callable[..., Any]) -> None:
     """Within 2 %, at a size where the image takes a good part of a second."""
     code, out, _ = call("render", "cornell-spheres", "--json", "--set", "width=96", "--set", "height=96")
