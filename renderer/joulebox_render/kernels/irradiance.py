@@ -24,6 +24,56 @@ def bucket_of(cx, cy, cz, mask):
     return np.int64((np.uint64(cx) * _P1 ^ np.uint64(cy) * _P2 ^ np.uint64(cz) * _P3) & np.uint64(mask))
 
 
+@device
+def grid_gradients(incident, distance, row, polar, azimuth, c):
+    """What channel c of a gather's grid, whose first ray is `row`, says of irradiance: (mean incident radiance, its
+    translational gradient, its rotational gradient), each gradient as its two components in the tangent frame.
+
+    Source: Ward & Heckbert 1992, with exact integrals over a stratum's side.
+    """
+    total, across_x, across_y, turn_x, turn_y = 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(azimuth):
+        before = (k + azimuth - 1) % azimuth
+        phi = 2.0 * math.pi * (k + 0.5) / azimuth
+        phi_edge = 2.0 * math.pi * k / azimuth
+        outward, sideways, turning = 0.0, 0.0, 0.0
+        for j in range(polar):
+            i = row + k * polar + j
+            light = incident[i, c]
+            total += light
+            sin2 = (j + 0.5) / polar
+            turning += light * math.sqrt(sin2 / (1.0 - sin2))
+            if j > 0:
+                sin2_edge = j / polar
+                closer = min(distance[i], distance[i - 1])
+                outward += math.sqrt(sin2_edge) * (1.0 - sin2_edge) / closer * (light - incident[i - 1, c])
+            i_before = row + before * polar + j
+            closer = min(distance[i], distance[i_before])
+            side = math.sqrt((j + 1) / polar) - math.sqrt(j / polar)
+            sideways += side / closer * (light - incident[i_before, c])
+        outward *= 2.0 * math.pi / azimuth
+        cos_phi, sin_phi = math.cos(phi), math.sin(phi)
+        cos_edge, sin_edge = math.cos(phi_edge), math.sin(phi_edge)
+        across_x += cos_phi * outward - sin_edge * sideways
+        across_y += sin_phi * outward + cos_edge * sideways
+        turn_x -= sin_phi * turning
+        turn_y += cos_phi * turning
+    count = polar * azimuth
+    return total / count, across_x, across_y, turn_x * math.pi / count, turn_y * math.pi / count
+
+
+@device
+def reach_of_gather(distance, row, polar, azimuth, tolerance):
+    """Harmonic mean distance of a gather's rays, or the nearest not seen edge-on over the tolerance if less [m]."""
+    inverse, closest = 0.0, 1e30
+    for i in range(polar * azimuth):
+        length = max(1e-12, distance[row + i])
+        inverse += 1.0 / length
+        if (i % polar + 0.5) / polar < EDGE_ON and length < closest:
+            closest = length
+    return min(polar * azimuth / inverse, closest / tolerance)
+
+
 @kernel
 def summarize_gather(points, first, polar, azimuth, tolerance, incident, distance, near, far, cache, row):
     """Make records of final gathers over stratified cosine grids; returns nothing.
@@ -36,63 +86,29 @@ def summarize_gather(points, first, polar, azimuth, tolerance, incident, distanc
     radius is the harmonic mean distance, but with the tolerance it reaches no farther than the nearest surface that is
     not seen edge-on, so that no record shines through a wall (as in Mitsuba 0.6), and no farther than lets the
     translational gradient change the irradiance by as much as itself (Krivanek 2006); within [near, far]. Where
-    `near` wins, the gradient is scaled down alike.
-    Gradients are Ward & Heckbert's, with exact integrals over a stratum's side: in column c of a record's nine
-    numbers 3 c ... 3 c + 2 stands the world vector of channel c.
+    `near` wins, the gradient is scaled down alike. Of the gradients, in column c of a record's nine numbers
+    3 c ... 3 c + 2 stands the world vector of channel c.
     """
-    count = polar * azimuth
     for gather in range(near.shape[0]):
-        point, out = first + gather, row + gather
+        point, out, start = first + gather, row + gather, gather * polar * azimuth
         nx, ny, nz = row3(points.normal, point)
         sx, sy, sz, tx, ty, tz = tangent_frame(nx, ny, nz)
-        inverse, closest = 0.0, 1e30
-        for i in range(count):
-            length = max(1e-12, distance[gather * count + i])
-            inverse += 1.0 / length
-            if (i % polar + 0.5) / polar < EDGE_ON and length < closest:
-                closest = length
-        radius = min(count / inverse, closest / tolerance)
+        radius = reach_of_gather(distance, start, polar, azimuth, tolerance)
         steepest = 0.0
         for c in range(3):
-            total, across_x, across_y, turn_x, turn_y = 0.0, 0.0, 0.0, 0.0, 0.0
-            for k in range(azimuth):
-                before = (k + azimuth - 1) % azimuth
-                phi = 2.0 * math.pi * (k + 0.5) / azimuth
-                phi_edge = 2.0 * math.pi * k / azimuth
-                outward, sideways, turning = 0.0, 0.0, 0.0
-                for j in range(polar):
-                    i = gather * count + k * polar + j
-                    light = incident[i, c]
-                    total += light
-                    sin2 = (j + 0.5) / polar
-                    turning += light * math.sqrt(sin2 / (1.0 - sin2))
-                    if j > 0:
-                        sin2_edge = j / polar
-                        closer = min(distance[i], distance[i - 1])
-                        outward += math.sqrt(sin2_edge) * (1.0 - sin2_edge) / closer * (light - incident[i - 1, c])
-                    i_before = gather * count + before * polar + j
-                    closer = min(distance[i], distance[i_before])
-                    side = math.sqrt((j + 1) / polar) - math.sqrt(j / polar)
-                    sideways += side / closer * (light - incident[i_before, c])
-                outward *= 2.0 * math.pi / azimuth
-                cos_phi, sin_phi = math.cos(phi), math.sin(phi)
-                cos_edge, sin_edge = math.cos(phi_edge), math.sin(phi_edge)
-                across_x += cos_phi * outward - sin_edge * sideways
-                across_y += sin_phi * outward + cos_edge * sideways
-                turn_x -= sin_phi * turning
-                turn_y += cos_phi * turning
-            irradiance = math.pi * total / count
-            turn_x, turn_y = turn_x * math.pi / count, turn_y * math.pi / count
+            mean, ax, ay, bx, by = grid_gradients(incident, distance, start, polar, azimuth, c)
+            irradiance = math.pi * mean
             cache.irradiance[out, c] = irradiance
-            slope = math.sqrt(across_x * across_x + across_y * across_y)
+            slope = math.sqrt(ax * ax + ay * ay)
             if slope > steepest * max(1e-30, irradiance):
                 steepest = slope / max(1e-30, irradiance)
-            cache.translation[out, 3 * c] = across_x * sx + across_y * tx
-            cache.translation[out, 3 * c + 1] = across_x * sy + across_y * ty
-            cache.translation[out, 3 * c + 2] = across_x * sz + across_y * tz
-            cache.rotation[out, 3 * c] = turn_x * sx + turn_y * tx
-            cache.rotation[out, 3 * c + 1] = turn_x * sy + turn_y * ty
-            cache.rotation[out, 3 * c + 2] = turn_x * sz + turn_y * tz
+            e = 3 * c
+            cache.translation[out, e] = ax * sx + ay * tx
+            cache.translation[out, e + 1] = ax * sy + ay * ty
+            cache.translation[out, e + 2] = ax * sz + ay * tz
+            cache.rotation[out, e] = bx * sx + by * tx
+            cache.rotation[out, e + 1] = bx * sy + by * ty
+            cache.rotation[out, e + 2] = bx * sz + by * tz
         if steepest * radius > 1.0:
             radius = 1.0 / steepest
         limited = max(near[gather], min(far[gather], radius))
