@@ -14,8 +14,10 @@ from joulebox_render.kernels.vector import row3, tangent_frame
 
 # Cells of a hemisphere: rows in sin^2 of the polar angle, columns in azimuth.
 CELL_ROWS, CELL_COLUMNS = 4, 8
-# Share of the rays that goes everywhere alike: photons do not know of light too faint for them.
-EVERYWHERE = 0.5
+# What is added to each cell, in photons: few photons tell little of where light comes from.
+PRIOR = 2.0
+# Share of the rays that goes everywhere alike at least: photons do not know of light too faint for them.
+LEAST_EVERYWHERE = 0.3
 
 
 @kernel
@@ -33,7 +35,7 @@ def incoming_chances(tree, wi, flux, history, least_history, points, first, k, r
         for cell in range(cells):
             chance[q, cell] = 0.0
         found = nearest_points(tree, x, y, z, nx, ny, nz, cos_limit, reach * reach, k, scratch)
-        total = 0.0
+        total, counted = 0.0, 0
         for i in range(found):
             row = candidate_row(scratch.candidates[i])
             dx, dy, dz = row3(wi, row)
@@ -46,7 +48,8 @@ def incoming_chances(tree, wi, flux, history, least_history, points, first, k, r
             along = min(CELL_COLUMNS - 1, np.int64((azimuth - math.floor(azimuth)) * CELL_COLUMNS))
             chance[q, across * CELL_COLUMNS + along] += power
             total += power
-        everywhere = EVERYWHERE if total > 0.0 else 1.0
+            counted += 1
+        everywhere = max(LEAST_EVERYWHERE, PRIOR * cells / (PRIOR * cells + counted))
         scale = (1.0 - everywhere) / total if total > 0.0 else 0.0
         for cell in range(cells):
             chance[q, cell] = chance[q, cell] * scale + everywhere / cells

@@ -16,6 +16,8 @@ from joulebox_render.stages.paths import follow_to_diffuse, join
 from joulebox_render.stages.photon_map import BOUNCED, CAUSTIC
 from joulebox_render.stages.precomputed import Illumination
 
+# Where light comes from changes more slowly over a surface than how much: photons from so many times as far tell.
+IMPORTANCE_REACH = 4.0
 NOT_BENT: F4 = np.empty((0, CELL_ROWS * CELL_COLUMNS), np.float32)
 
 # No path is followed through more diffuse bounces; Russian roulette ends nearly all long before.
@@ -60,7 +62,7 @@ def incoming(context: Context, light: Illumination, points: Points, first: int, 
     chance = np.empty((last - first, CELL_ROWS * CELL_COLUMNS), np.float32)
     incoming_chances(
         photons.tree, photons.wi, photons.flux, photons.history, BOUNCED if light.caustics else CAUSTIC, points, first,
-        estimate.count, estimate.reach_m, estimate.cos_limit, Scratch.empty(estimate.count), chance,
+        estimate.count, IMPORTANCE_REACH * estimate.reach_m, estimate.cos_limit, Scratch.empty(estimate.count), chance,
     )  # fmt: skip
     return chance
 
