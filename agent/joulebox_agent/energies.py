@@ -14,7 +14,7 @@ from joulebox_agent.sources.reading import EnergySource, Primary
 from joulebox_agent.windows import Window
 
 ADVISED_REFRESHES = 15
-FEWEST_STEPS = 5  # of a counter over all windows, below which its difference says little
+FEWEST_STEPS = 5  # of a counter in a window, below which its difference says little
 DISAGREEMENT_NOTED, DISAGREEMENT_REJECTED = 0.05, 1.0
 IDLE_PIECES = 3
 IDLE_WITHOUT_DRIFT = 0.5  # the blocks before and after lie minutes apart
@@ -52,6 +52,7 @@ def window_energies(
     gross_j = tuple(_gross_j(series, source.primary, window, lag, row) for row, window in enumerate(windows))
     counter_j = tuple(series.energy_j(w.start_s, w.end_s, "counter") for w in windows)
     notes: list[str] = []
+    disagreement = _disagreement(gross_j, counter_j)
     counter_bound = _coarse_counter(counter_j, windows, resolution_j)
     if counter_bound:
         counter_j = nothing
@@ -62,8 +63,7 @@ def window_energies(
     if gauge_bound:
         return WindowEnergies(nothing, nothing, (gauge_bound,))
     notes += _short_windows(series, windows)
-    disagreement = _disagreement(gross_j, counter_j)
-    if disagreement is not None and abs(disagreement) > DISAGREEMENT_NOTED:
+    if disagreement is not None and not counter_bound and abs(disagreement) > DISAGREEMENT_NOTED:
         notes.append(f"the battery's counter says {disagreement:+.0%} against its gauge")
         if not 1 / (1 + DISAGREEMENT_REJECTED) <= 1 + disagreement <= 1 + DISAGREEMENT_REJECTED:
             counter_j = nothing
@@ -102,13 +102,14 @@ def drift_widening(series: PowerSeries, primary: Primary, windows: Sequence[Wind
 def _coarse_counter(
     counter_j: tuple[float | None, ...], windows: list[Window], resolution_j: float | None
 ) -> str | None:
+    """A counter whose steps are too coarse for the windows: they share steps and are no sample."""
     known = [energy_j for energy_j in counter_j if energy_j is not None]
-    if not known or not resolution_j or sum(known) >= FEWEST_STEPS * resolution_j:
+    if not known or not resolution_j or sum(known) >= FEWEST_STEPS * resolution_j * len(known):
         return None
-    bound_j = FEWEST_STEPS * resolution_j / sum(w.images for w in windows)
+    bound_j = FEWEST_STEPS * resolution_j * len(windows) / sum(w.images for w in windows)
     return (
-        f"not resolvable by the counter: {sum(known):.3g} J in all windows, by steps of "
-        f"{resolution_j:.3g} J; an image costs less than {bound_j:.3g} J"
+        f"not resolvable by the counter: {sum(known):.3g} J in {len(known)} windows, by steps of "
+        f"{resolution_j:.3g} J; an image costs less than {bound_j:.3g} J; make windows longer"
     )
 
 

@@ -1,0 +1,173 @@
+"""A scripted discharge read by the agent's own code: a fake sysfs tree, its sources, sampler, windows, estimates.
+
+Time is the script's: the tree is written at every refresh of the gauge and polled at the first poll that would
+see it, since polls that see nothing new change nothing.
+"""
+
+import math
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from joulebox_agent.energies import WindowEnergies, idle_power, window_energies
+from joulebox_agent.estimate import Interval, net_of_idle, two_stage_interval, windows_needed
+from joulebox_agent.loop import ImageEvent, StageEvent
+from joulebox_agent.sampler import Sampler
+from joulebox_agent.series import PowerSeries
+from joulebox_agent.sources.choose import Choice, choose
+from joulebox_agent.windows import Window, WindowSplitter
+
+from energy.discharge import Discharge, Gauge, Image, Machine, gauge_updates, script
+
+
+MEMORY = Path("/dev/shm")  # a folder without a disk behind it, where there is one
+
+
+@dataclass(frozen=True)
+class Rule:
+    """How it is measured: the agent's own settings."""
+
+    source: str = "battery_gauge"
+    window_s: float = 60.0
+    pilot: int = 5
+    most: int = 5
+    half_width: float = 0.05
+    idle: bool = False
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Joules per image as measured, None where not resolvable; what was really drawn; the windows."""
+
+    gross: Interval | None
+    net: Interval | None
+    drawn_j: float
+    windows: list[Window]
+    energies: WindowEnergies
+    drawn_in_windows_j: list[float]
+
+
+class ScriptedTime:
+    """The clock of the sampler."""
+
+    now = 0.0
+
+    def now_s(self) -> float:
+        return self.now
+
+    def slept_s(self) -> float:
+        return 0.0
+
+
+class Tree:
+    """A laptop's power_supply class in a folder; only files that change are written."""
+
+    def __init__(self, root: Path, full_j: float) -> None:
+        self._battery = root / "class" / "power_supply" / "BAT0"
+        cable = root / "class" / "power_supply" / "AC"
+        self._last: dict[str, int] = {}
+        for folder, files in (
+            (cable, {"type": "Mains", "online": "0"}),
+            (self._battery, {"type": "Battery", "present": "1", "status": "Discharging", "voltage_now": "11800000",
+                             "energy_full": str(round(full_j / 3600 * 1e6))}),
+        ):  # fmt: skip
+            folder.mkdir(parents=True, exist_ok=True)
+            for name, text in files.items():
+                (folder / name).write_text(text + "\n")
+
+    def show(self, power_uw: int, energy_uwh: int) -> None:
+        for name, value in (("power_now", power_uw), ("energy_now", energy_uwh)):
+            if self._last.get(name) != value:
+                (self._battery / name).write_text(f"{value}\n")
+                self._last[name] = value
+
+
+class Run:
+    """One discharge, read up to any moment."""
+
+    def __init__(self, rng: np.random.Generator, discharge: Discharge, gauge: Gauge, source: str, root: Path) -> None:
+        self.discharge = discharge
+        self._times_s, self._power_uw, self._energy_uwh = gauge_updates(rng, discharge, gauge)
+        self._tree, self._next = Tree(root, gauge.full_j), 0
+        self._clock = ScriptedTime()
+        self._first_poll_s = discharge.edges_s[0] + rng.uniform(0.0, 0.5)
+        self._update()
+        self.choice: Choice = choose(source, root)
+        self._poll_s = self.choice.source.poll_s
+        self._sampler = Sampler(self.choice.source, self._clock, lost_after_s=1e9)
+
+    def _update(self) -> None:
+        self._tree.show(self._power_uw[self._next], self._energy_uwh[self._next])
+        self._next += 1
+
+    def read_until(self, until_s: float) -> PowerSeries:
+        """Plays the tree up to a moment, polls it as the agent would, and looks once at that moment."""
+        while self._next < len(self._times_s) and self._times_s[self._next] <= until_s:
+            at_s = float(self._times_s[self._next])
+            self._update()
+            poll_s = self._first_poll_s + math.ceil((at_s - self._first_poll_s) / self._poll_s) * self._poll_s
+            upcoming_s = self._times_s[self._next] if self._next < len(self._times_s) else math.inf
+            if poll_s < min(upcoming_s, until_s):
+                self._look(poll_s)
+        self._look(until_s)
+        assert self._sampler.trouble() is None
+        return PowerSeries(self._sampler.samples())
+
+    def _look(self, at_s: float) -> None:
+        self._clock.now = max(at_s, self._clock.now)
+        self._sampler.sample()
+
+
+def windows_of(block: list[Image], window_s: float) -> list[Window]:
+    """The windows the agent would make of these images; the first image is its warm-up."""
+    first, *images = block
+    splitter = WindowSplitter(first[-1][2], window_s)
+    windows = []
+    for number, image in enumerate(images):
+        begin_s, end_s = image[0][1], image[-1][2]
+        event = ImageEvent(event="image", image=number, start_s=begin_s, end_s=end_s, time_s=end_s - begin_s, cpu_s=0.0,
+                           pixel_sha256="a")  # fmt: skip
+        stages = [StageEvent(event="stage", image=number, name=n, start_s=b_s, end_s=e_s) for n, b_s, e_s in image]
+        if window := splitter.add(event, stages):
+            windows.append(window)
+    return windows
+
+
+def measure(seed: int, machine: Machine, gauge: Gauge, rule: Rule) -> Measured:
+    """One measurement as `joulebox-agent measure` would make it: pilot, Stein's second stage, intervals."""
+    rng = np.random.default_rng(seed)
+    discharge = script(rng, [machine], rule.most * (rule.window_s + 1.2 * machine.image_s) + 3 * machine.image_s)
+    windows = windows_of(discharge.blocks[0], rule.window_s)[: rule.most]
+    with tempfile.TemporaryDirectory(dir=MEMORY if MEMORY.is_dir() else None) as folder:
+        run = Run(rng, discharge, gauge, rule.source, Path(folder))
+        count, found = rule.pilot, _energies(run, windows[: rule.pilot])
+        if rule.most > rule.pilot and None not in found.gross_j:
+            pilot = _per_image(found, windows[:count])
+            needed = windows_needed(pilot, rule.half_width, widening=found.widening)
+            count = min(rule.most, needed)
+            found = _energies(run, windows[:count])
+        windows = windows[:count]
+        idle_w = None
+        if rule.idle:
+            blocks = [(discharge.edges_s[0], discharge.edges_s[0] + machine.idle_s),
+                      (discharge.edges_s[-1] - machine.idle_s, discharge.edges_s[-1] - 1e-6)]  # fmt: skip
+            series = run.read_until(blocks[-1][1])
+            idle_w = idle_power(series, run.choice.source, blocks, found.lag_s)
+    drawn_j = [discharge.energy_j(w.start_s, w.end_s) for w in windows]
+    per_image = [energy_j / w.images for energy_j, w in zip(drawn_j, windows, strict=True)]
+    gross = net = None
+    if None not in found.gross_j:
+        gross = two_stage_interval(_per_image(found, windows), rule.pilot, widening=found.widening)
+        if idle_w is not None:
+            net = net_of_idle(gross, idle_w, sum(w.wall_s for w in windows) / sum(w.images for w in windows))
+    return Measured(gross, net, float(np.mean(per_image)), windows, found, drawn_j)
+
+
+def _energies(run: Run, windows: list[Window]) -> WindowEnergies:
+    series = run.read_until(windows[-1].end_s)
+    return window_energies(series, run.choice.source, windows, run.choice.report.resolution_j)
+
+
+def _per_image(found: WindowEnergies, windows: list[Window]) -> list[float]:
+    return [e / w.images for e, w in zip(found.gross_j, windows, strict=True) if e is not None]

@@ -1,0 +1,91 @@
+"""Stage powers from a sweep of metered windows, and how far Equation 2 is from them."""
+
+import tempfile
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from joulebox_agent.energies import window_energies
+from joulebox_agent.stage_power import StagePowerFit, WindowTotals, fit_stage_powers
+from joulebox_agent.windows import Window, stage_energies_j
+
+from energy.discharge import Gauge, Machine, script
+from energy.reading import MEMORY, Run, windows_of
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Configurations of one machine whose stages take different times; some windows are held out."""
+
+    name: str
+    machine: Machine = Machine()
+    gauge: Gauge = Gauge()
+    windows: int = 16
+    held_out: int = 3
+    window_s: float = 60.0
+
+
+@dataclass(frozen=True)
+class SweepResult:
+    """powers_w by stage as fitted; which intervals hold; Equation 2's powers; which priced windows hold."""
+
+    fitted: StagePowerFit
+    holds: dict[str, bool]
+    equation_2_w: dict[str, float]
+    priced: list[bool]
+    priced_truth: list[bool]
+
+
+def run_sweep(seed: int, sweep: Sweep) -> SweepResult:
+    """One window of every configuration, read as the agent reads it, fitted without the ones held out."""
+    rng = np.random.default_rng(seed)
+    machines = [_configured(rng, sweep.machine) for _ in range(sweep.windows + sweep.held_out)]
+    discharge = script(rng, machines, sweep.window_s + 3.2 * max(m.image_s for m in machines))
+    windows = [windows_of(block, sweep.window_s)[0] for block in discharge.blocks]
+    with tempfile.TemporaryDirectory(dir=MEMORY if MEMORY.is_dir() else None) as folder:
+        run = Run(rng, discharge, sweep.gauge, "battery_gauge", Path(folder))
+        series = run.read_until(windows[-1].end_s + 5.0)
+        found = window_energies(series, run.choice.source, windows, run.choice.report.resolution_j)
+    energies_j = [energy_j for energy_j in found.gross_j if energy_j is not None]
+    totals = [_totals(w, energy_j) for w, energy_j in zip(windows, energies_j, strict=True)]
+    fitted = fit_stage_powers(totals[: sweep.windows])
+    truth = {name: power_w for name, power_w, _ in sweep.machine.stages}
+    held = range(sweep.windows, len(windows))
+    prices = [fitted.price(totals[row].stages_s, totals[row].time_s) for row in held]
+    drawn_j = [discharge.energy_j(windows[row].start_s, windows[row].end_s) for row in held]
+    return SweepResult(
+        fitted,
+        {name: fitted.powers_w[name].low <= watts <= fitted.powers_w[name].high for name, watts in truth.items()},
+        _equation_2_w(windows, energies_j),
+        [price.low <= totals[row].energy_j <= price.high for row, price in zip(held, prices, strict=True)],
+        [price.low <= energy_j <= price.high for price, energy_j in zip(prices, drawn_j, strict=True)],
+    )
+
+
+def _configured(rng: np.random.Generator, machine: Machine) -> Machine:
+    """The same machine with settings under which every stage takes another time."""
+    return replace(
+        machine,
+        stages=tuple((name, power_w, time_s * 3 ** rng.uniform(-1, 1)) for name, power_w, time_s in machine.stages),
+    )
+
+
+def _totals(window: Window, energy_j: float) -> WindowTotals:
+    stages_s = {name: totals.time_s for name, totals in window.stages.items()}
+    return WindowTotals(window.wall_s, stages_s, energy_j, window.start_s)
+
+
+def _equation_2_w(windows: list[Window], energies_j: list[float]) -> dict[str, float]:
+    """Power that Equation 2 gives each stage, over all windows."""
+    joules: dict[str, float] = {}
+    seconds: dict[str, float] = {}
+    for window, energy_j in zip(windows, energies_j, strict=True):
+        for name, share_j in stage_energies_j(window, energy_j).items():
+            joules[name] = joules.get(name, 0.0) + share_j
+            seconds[name] = seconds.get(name, 0.0) + window.stages[name].time_s
+    return {name: joules[name] / seconds[name] for name in joules}
+
+
+def run_sweeps(sweep: Sweep, seeds: Iterable[int]) -> list[SweepResult]:
+    return [run_sweep(seed, sweep) for seed in seeds]
