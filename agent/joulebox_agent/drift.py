@@ -63,8 +63,8 @@ def fit(design: Floats, values: Floats, starts_s: Floats, lengths_s: Floats, wit
     return LinearFit(mean, covariance, row_variance, freedom, weights, covariances)
 
 
-def widening(values: Floats, starts_s: Floats, lengths_s: Floats, window_count: int) -> float:
-    """Factor >= 1 by which drift widens an interval of the mean that rests on the spread between windows.
+def widening(values: Floats, starts_s: Floats, lengths_s: Floats, window_count: int, pilot_count: int) -> float:
+    """Factor >= 1 by which drift widens an interval of the mean that rests on the spread between pilot windows.
 
     values, starts_s, lengths_s  (w * k,) pieces of windows, k equal parts of each in order of time
 
@@ -79,7 +79,9 @@ def widening(values: Floats, starts_s: Floats, lengths_s: Floats, window_count: 
     gather = np.kron(np.eye(window_count), np.full((1, count // window_count), window_count / count))
     windows = gather @ known.ratios @ gather.T  # (m, w, w)
     of_mean = windows.mean(axis=(1, 2))
-    spread = (np.trace(windows, axis1=1, axis2=2) / window_count - of_mean) * window_count / (window_count - 1)
+    pilot = windows[:, :pilot_count, :pilot_count]
+    spread = np.trace(pilot, axis1=1, axis2=2) / pilot_count - pilot.mean(axis=(1, 2))
+    spread *= pilot_count / (pilot_count - 1)
     return max(1.0, float(np.sqrt(known.weights @ (of_mean * window_count / spread))))
 
 

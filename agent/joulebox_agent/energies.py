@@ -39,11 +39,16 @@ class WindowEnergies:
 
 
 def window_energies(
-    series: PowerSeries, source: EnergySource, windows: list[Window], resolution_j: float | None
+    series: PowerSeries,
+    source: EnergySource,
+    windows: list[Window],
+    resolution_j: float | None,
+    pilot_count: int | None = None,
 ) -> WindowEnergies:
     """Whole-window energies; all None, with a note on the bound, where the source cannot resolve them.
 
     resolution_j  step of the counter [J], None when it has no noticeable one
+    pilot_count   windows whose spread the interval will rest on; None: all
     """
     nothing = (None,) * len(windows)
     if source.quality == "none" or not windows:
@@ -57,7 +62,7 @@ def window_energies(
     if counter_bound:
         counter_j = nothing
     if source.primary == "counter":
-        wider = 1.0 if counter_bound else drift_widening(series, "counter", windows, 0.0)
+        wider = 1.0 if counter_bound else drift_widening(series, "counter", windows, 0.0, pilot_count)
         return WindowEnergies(counter_j, counter_j, (counter_bound,) if counter_bound else (), wider)
     gauge_bound = _slow_gauge(series, windows)
     if gauge_bound:
@@ -68,7 +73,7 @@ def window_energies(
         if not 1 / (1 + DISAGREEMENT_REJECTED) <= 1 + disagreement <= 1 + DISAGREEMENT_REJECTED:
             counter_j = nothing
             notes[-1] += " and is rejected"
-    wider = drift_widening(series, "power", windows, lag.lag_s)
+    wider = drift_widening(series, "power", windows, lag.lag_s, pilot_count)
     return WindowEnergies(gross_j, counter_j, tuple(notes), wider, lag.lag_s)
 
 
@@ -77,7 +82,9 @@ def _gross_j(series: PowerSeries, primary: Primary, window: Window, lag: Lag, ro
     return energy_j + lag.edge_j[row] if energy_j is not None and primary == "power" else energy_j
 
 
-def drift_widening(series: PowerSeries, primary: Primary, windows: Sequence[Window], lag_s: float) -> float:
+def drift_widening(
+    series: PowerSeries, primary: Primary, windows: Sequence[Window], lag_s: float, pilot_count: int | None
+) -> float:
     """How much wider than their spread says the mean of the windows may be off; see drift.widening.
 
     Every window is cut into the same number of pieces of whole images, each of PIECE_UPDATES updates or more;
@@ -96,7 +103,8 @@ def drift_widening(series: PowerSeries, primary: Primary, windows: Sequence[Wind
             starts_s.append(start_s)
             lengths_s.append(end_s - start_s)
             values_j.append(energy_j / images)
-    return drift.widening(np.array(values_j), np.array(starts_s), np.array(lengths_s), len(windows))
+    pilot = min(len(windows), max(2, pilot_count or len(windows)))
+    return drift.widening(np.array(values_j), np.array(starts_s), np.array(lengths_s), len(windows), pilot)
 
 
 def _coarse_counter(

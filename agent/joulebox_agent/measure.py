@@ -201,7 +201,9 @@ class Measurement:
         their unit; how much drift widens their interval."""
         record = self.recording
         series = PowerSeries(self._sampler.samples())
-        found = window_energies(series, record.source, record.windows, record.source_report.resolution_j)
+        found = window_energies(
+            series, record.source, record.windows, record.source_report.resolution_j, self._rule.min_windows
+        )
         joules = [g / w.images for g, w in zip(found.gross_j, record.windows, strict=True) if g is not None]
         if joules:
             return joules, "J", found.widening

@@ -18,8 +18,8 @@ Floats = NDArray[np.float64]
 class Machine:
     """stages: (name, power_w, time_s) of one image in order; idle and set-up around the rendering."""
 
-    stages: tuple[tuple[str, float, float], ...] = (("photon_map", 24.0, 0.3), ("direct", 17.0, 0.7),
-                                                    ("indirect", 14.0, 0.4))  # fmt: skip
+    stages: tuple[tuple[str, float, float], ...] = (("photon_map", 24.0, 0.6), ("direct", 17.0, 1.3),
+                                                    ("indirect", 14.0, 0.8))  # fmt: skip
     jitter: float = 0.02  # of an image's time
     between_s: float = 0.01  # from an image's end to the next one's start, at between_w
     between_w: float = 11.0
@@ -114,16 +114,16 @@ def _wander(rng: np.random.Generator, steps: Floats) -> Floats:
     return np.array(values)
 
 
-def gauge_updates(
-    rng: np.random.Generator, discharge: Discharge, gauge: Gauge
-) -> tuple[Floats, list[int], list[int]]:
+def gauge_updates(rng: np.random.Generator, discharge: Discharge, gauge: Gauge) -> tuple[Floats, list[int], list[int]]:
     """Times of the refreshes [s], power_now [uW] and energy_now [uWh] from each of them on."""
     first_s, last_s = discharge.edges_s[0], discharge.edges_s[-1]
     times_s = np.arange(first_s + rng.uniform(0.0, gauge.refresh_s), last_s, gauge.refresh_s)
     lag_s = max(gauge.lag_s, 1e-3)
     used_j = np.interp(times_s, discharge.edges_s, discharge.used_j)
     earlier_s = np.maximum(times_s - lag_s, first_s)
-    mean_w = (used_j - np.interp(earlier_s, discharge.edges_s, discharge.used_j)) / np.maximum(times_s - earlier_s, 1e-6)
+    mean_w = (used_j - np.interp(earlier_s, discharge.edges_s, discharge.used_j)) / np.maximum(
+        times_s - earlier_s, 1e-6
+    )
     shown_w = mean_w + gauge.noise_w * rng.standard_normal(times_s.size)
     shown_w = np.maximum(gauge.step_w, np.round(shown_w / gauge.step_w) * gauge.step_w)
     left_j = gauge.full_j - gauge.counter_step_j * rng.uniform() - used_j

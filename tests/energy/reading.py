@@ -5,6 +5,7 @@ see it, since polls that see nothing new change nothing.
 """
 
 import math
+import os
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,8 +19,7 @@ from joulebox_agent.series import PowerSeries
 from joulebox_agent.sources.choose import Choice, choose
 from joulebox_agent.windows import Window, WindowSplitter
 
-from energy.discharge import Discharge, Gauge, Image, Machine, gauge_updates, script
-
+from .discharge import Discharge, Gauge, Image, Machine, gauge_updates, script
 
 MEMORY = Path("/dev/shm")  # a folder without a disk behind it, where there is one
 
@@ -66,6 +66,7 @@ class Tree:
     def __init__(self, root: Path, full_j: float) -> None:
         self._battery = root / "class" / "power_supply" / "BAT0"
         cable = root / "class" / "power_supply" / "AC"
+        self._files = {name: str(self._battery / name) for name in ("power_now", "energy_now")}
         self._last: dict[str, int] = {}
         for folder, files in (
             (cable, {"type": "Mains", "online": "0"}),
@@ -79,7 +80,9 @@ class Tree:
     def show(self, power_uw: int, energy_uwh: int) -> None:
         for name, value in (("power_now", power_uw), ("energy_now", energy_uwh)):
             if self._last.get(name) != value:
-                (self._battery / name).write_text(f"{value}\n")
+                file = os.open(self._files[name], os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+                os.write(file, b"%d\n" % value)
+                os.close(file)
                 self._last[name] = value
 
 
@@ -126,9 +129,13 @@ def windows_of(block: list[Image], window_s: float) -> list[Window]:
     windows = []
     for number, image in enumerate(images):
         begin_s, end_s = image[0][1], image[-1][2]
-        event = ImageEvent(event="image", image=number, start_s=begin_s, end_s=end_s, time_s=end_s - begin_s, cpu_s=0.0,
-                           pixel_sha256="a")  # fmt: skip
-        stages = [StageEvent(event="stage", image=number, name=n, start_s=b_s, end_s=e_s) for n, b_s, e_s in image]
+        event = ImageEvent.model_construct(
+            image=number, start_s=begin_s, end_s=end_s, time_s=end_s - begin_s, cpu_s=0.0
+        )
+        stages = [
+            StageEvent.model_construct(image=number, name=name, start_s=start_s, end_s=stop_s)
+            for name, start_s, stop_s in image
+        ]
         if window := splitter.add(event, stages):
             windows.append(window)
     return windows
@@ -141,12 +148,12 @@ def measure(seed: int, machine: Machine, gauge: Gauge, rule: Rule) -> Measured:
     windows = windows_of(discharge.blocks[0], rule.window_s)[: rule.most]
     with tempfile.TemporaryDirectory(dir=MEMORY if MEMORY.is_dir() else None) as folder:
         run = Run(rng, discharge, gauge, rule.source, Path(folder))
-        count, found = rule.pilot, _energies(run, windows[: rule.pilot])
+        count, found = rule.pilot, _energies(run, windows[: rule.pilot], rule.pilot)
         if rule.most > rule.pilot and None not in found.gross_j:
             pilot = _per_image(found, windows[:count])
             needed = windows_needed(pilot, rule.half_width, widening=found.widening)
             count = min(rule.most, needed)
-            found = _energies(run, windows[:count])
+            found = _energies(run, windows[:count], rule.pilot)
         windows = windows[:count]
         idle_w = None
         if rule.idle:
@@ -164,9 +171,9 @@ def measure(seed: int, machine: Machine, gauge: Gauge, rule: Rule) -> Measured:
     return Measured(gross, net, float(np.mean(per_image)), windows, found, drawn_j)
 
 
-def _energies(run: Run, windows: list[Window]) -> WindowEnergies:
+def _energies(run: Run, windows: list[Window], pilot: int) -> WindowEnergies:
     series = run.read_until(windows[-1].end_s)
-    return window_energies(series, run.choice.source, windows, run.choice.report.resolution_j)
+    return window_energies(series, run.choice.source, windows, run.choice.report.resolution_j, pilot)
 
 
 def _per_image(found: WindowEnergies, windows: list[Window]) -> list[float]:

@@ -1,8 +1,9 @@
 """Stage powers from a sweep of metered windows, and how far Equation 2 is from them."""
 
 import tempfile
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from concurrent.futures import Executor
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,8 @@ from joulebox_agent.energies import window_energies
 from joulebox_agent.stage_power import StagePowerFit, WindowTotals, fit_stage_powers
 from joulebox_agent.windows import Window, stage_energies_j
 
-from energy.discharge import Gauge, Machine, script
-from energy.reading import MEMORY, Run, windows_of
+from .discharge import Gauge, Machine, script
+from .reading import MEMORY, Run, windows_of
 
 
 @dataclass(frozen=True)
@@ -19,8 +20,8 @@ class Sweep:
     """Configurations of one machine whose stages take different times; some windows are held out."""
 
     name: str
-    machine: Machine = Machine()
-    gauge: Gauge = Gauge()
+    machine: Machine = field(default_factory=Machine)
+    gauge: Gauge = field(default_factory=Gauge)
     windows: int = 16
     held_out: int = 3
     window_s: float = 60.0
@@ -87,5 +88,47 @@ def _equation_2_w(windows: list[Window], energies_j: list[float]) -> dict[str, f
     return {name: joules[name] / seconds[name] for name in joules}
 
 
-def run_sweeps(sweep: Sweep, seeds: Iterable[int]) -> list[SweepResult]:
-    return [run_sweep(seed, sweep) for seed in seeds]
+SWEEPS = (
+    Sweep("refresh 1 s, 16 windows", gauge=Gauge(1.0, 1.0)),
+    Sweep("refresh 4 s, 12 windows", windows=12),
+    Sweep("refresh 4 s, mean of 10 s, 16 windows", gauge=Gauge(4.0, 10.0)),
+    Sweep("refresh 4 s, drift 2 % over 180 s, 20 windows", Machine(drift_share=0.02, drift_time_s=180.0), windows=20),
+)
+
+
+@dataclass(frozen=True)
+class SweepCoverage:
+    """Means over runs: fitted_w, equation_2_w and holds by stage; shares of held-out windows whose price holds
+    what the gauge gave them, and what they really drew."""
+
+    sweep: Sweep
+    runs: int
+    fitted_w: dict[str, float]
+    equation_2_w: dict[str, float]
+    holds: dict[str, float]
+    priced: float
+    priced_drawn: float
+
+    @property
+    def within_bounds(self) -> bool:
+        """Fitted powers within 2 %, where Equation 2 is off by more than 10 %; prices hold at least 92 %."""
+        truth_w = {name: power_w for name, power_w, _ in self.sweep.machine.stages}
+        fitted = max(abs(self.fitted_w[name] / watts - 1) for name, watts in truth_w.items())
+        equation_2 = max(abs(self.equation_2_w[name] / watts - 1) for name, watts in truth_w.items())
+        return fitted < 0.02 and equation_2 > 0.10 and self.priced >= 0.92
+
+
+def sweep_coverage(sweep: Sweep, runs: int, pool: Executor | None = None) -> SweepCoverage:
+    """Runs a sweep with seeds 0 to runs - 1."""
+    run = partial(run_sweep, sweep=sweep)
+    results = list(pool.map(run, range(runs), chunksize=5) if pool else map(run, range(runs)))
+    names = [name for name, _, _ in sweep.machine.stages]
+    return SweepCoverage(
+        sweep,
+        runs,
+        {name: float(np.mean([r.fitted.powers_w[name].value for r in results])) for name in names},
+        {name: float(np.mean([r.equation_2_w[name] for r in results])) for name in names},
+        {name: float(np.mean([r.holds[name] for r in results])) for name in names},
+        float(np.mean([r.priced for r in results])),
+        float(np.mean([r.priced_truth for r in results])),
+    )
