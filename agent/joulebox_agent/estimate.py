@@ -12,7 +12,6 @@ from pydantic import BaseModel, ConfigDict
 from scipy.special import stdtrit
 
 CONFIDENCE = 0.95
-DRIFT_SHOWS = 1.3  # widening from which on a pilot is too short to tell how far the power wanders
 
 
 class Interval(BaseModel):
@@ -57,20 +56,19 @@ def two_stage_interval(
 def windows_needed(
     pilot: Sequence[float], half_width: float, confidence: float = CONFIDENCE, widening: float = 1.0
 ) -> int:
-    """Windows that Stein's rule asks for, at least the pilot's own, and twice as many where drift shows.
+    """Windows that Stein's rule asks for, at least the pilot's own.
 
     half_width  wanted half-width as a share of the mean, > 0
     widening    factor that drift between the windows asks for
     """
     wanted = half_width * abs(float(np.mean(pilot)))
     spread = float(np.std(pilot, ddof=1))
-    fewest = len(pilot) * (2 if widening > DRIFT_SHOWS else 1)
     if spread == 0.0:
-        return fewest
+        return len(pilot)
     if wanted == 0.0:
         return 1_000_000_000  # a mean of nothing is never known to a share of itself
     needed = (widening * t_quantile(len(pilot) - 1, confidence) * spread / wanted) ** 2
-    return max(fewest, math.ceil(needed))
+    return max(len(pilot), math.ceil(needed))
 
 
 def net_of_idle(gross: Interval, idle_w: Interval, time_s: float) -> Interval:

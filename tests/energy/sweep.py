@@ -1,10 +1,8 @@
 """Stage powers from a sweep of metered windows, and how far Equation 2 is from them."""
 
-import tempfile
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from joulebox_agent.energies import window_energies
@@ -12,7 +10,7 @@ from joulebox_agent.stage_power import StagePowerFit, WindowTotals, fit_stage_po
 from joulebox_agent.windows import Window, stage_energies_j
 
 from .discharge import Gauge, Machine, script
-from .reading import MEMORY, Run, windows_of
+from .reading import Run, windows_of
 
 
 @dataclass(frozen=True)
@@ -44,10 +42,9 @@ def run_sweep(seed: int, sweep: Sweep) -> SweepResult:
     machines = [_configured(rng, sweep.machine) for _ in range(sweep.windows + sweep.held_out)]
     discharge = script(rng, machines, sweep.window_s + 3.2 * max(m.image_s for m in machines))
     windows = [windows_of(block, sweep.window_s)[0] for block in discharge.blocks]
-    with tempfile.TemporaryDirectory(dir=MEMORY if MEMORY.is_dir() else None) as folder:
-        run = Run(rng, discharge, sweep.gauge, "battery_gauge", Path(folder))
-        series = run.read_until(windows[-1].end_s + 5.0)
-        found = window_energies(series, run.choice.source, windows, run.choice.report.resolution_j)
+    run = Run(rng, discharge, sweep.gauge, "battery_gauge")
+    series = run.read_until(windows[-1].end_s + 5.0)
+    found = window_energies(series, run.source, windows, run.resolution_j)
     energies_j = [energy_j for energy_j in found.gross_j if energy_j is not None]
     totals = [_totals(w, energy_j) for w, energy_j in zip(windows, energies_j, strict=True)]
     fitted = fit_stage_powers(totals[: sweep.windows])
