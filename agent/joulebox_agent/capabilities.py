@@ -10,7 +10,7 @@ from typing import Any
 from joulebox_agent import __version__
 from joulebox_agent.errors import RendererError
 from joulebox_agent.loop import ask_renderer
-from joulebox_agent.sources.choose import reports
+from joulebox_agent.sources.survey import survey
 
 CPU_INFO = Path("/proc/cpuinfo")
 # Levels of the x86-64 psABI, by the flag of each that no lower level has.
@@ -26,7 +26,8 @@ def describe_device(renderer: Sequence[str], source: str, sysfs_root: Path) -> d
             "scope": report.scope,
             "reason": report.reason,
         }
-        for report in reports(sysfs_root)
+        for _, report in survey(sysfs_root, source)
+        if report.this_platform
     ]
     return {
         "platform": platform.platform(),

@@ -49,3 +49,16 @@ def faults_of(name: str) -> dict[str, int]:
 
 
 EIO, ENODATA, ENODEV = errno.EIO, errno.ENODATA, errno.ENODEV
+
+Nodes = dict[str, dict[str, object]]
+
+
+def build_tree(root: Path, nodes: Nodes) -> Path:
+    """A tree that plays /sys, with these nodes of class/power_supply and their files."""
+    (root / "class" / "power_supply").mkdir(parents=True)
+    for node, files in nodes.items():
+        folder = root / "class" / "power_supply" / node
+        folder.mkdir()
+        for name, value in files.items():
+            (folder / name).write_text(f"{value}\n")
+    return root

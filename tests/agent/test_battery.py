@@ -3,7 +3,9 @@
 import json
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
+import psutil
 import pytest
 from agent_testing import DATA, EIO, ENODATA, ENODEV, FaultySysfs, faults_of
 from joulebox_agent.conditions import read_conditions
@@ -166,11 +168,16 @@ def test_a_battery_waits_for_its_discharge_and_a_desktop_does_not() -> None:
 
 
 def test_a_machine_that_is_not_linux_has_nothing_to_read(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """No /sys at all: auto measures time, nothing fails."""
+    """No /sys at all: auto measures time, nothing fails, and of its state psutil tells what it can."""
     missing = tmp_path / "no_sys"
     monkeypatch.setattr("joulebox_agent.sources.sysfs.SYSTEM_ROOT", missing)
     assert choose("auto", missing).source.method == "none"
     assert unfit_reason("auto", missing) is None
-    assert read_conditions(missing).keys() == {"load_1_min"}
+    battery = SimpleNamespace(percent=62, power_plugged=True)
+    monkeypatch.setattr(psutil, "sensors_battery", lambda: battery, raising=False)
+    conditions = read_conditions(missing)
+    assert conditions["battery_charge_share"] == 0.62
+    assert conditions["mains_online"] is True
+    assert not {"governor", "brightness_share", "temperature_c"} & conditions.keys()
     with pytest.raises(UsageError, match="is not a directory"):
         choose("auto", tmp_path / "other")

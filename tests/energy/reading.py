@@ -16,11 +16,16 @@ from joulebox_agent.estimate import Interval, net_of_idle, two_stage_interval, w
 from joulebox_agent.loop import ImageEvent, StageEvent
 from joulebox_agent.sampler import Sampler
 from joulebox_agent.series import PowerSeries
-from joulebox_agent.sources.choose import SOURCES
+from joulebox_agent.sources.battery_counter import PackCounter
+from joulebox_agent.sources.battery_gauge import PackGauge
+from joulebox_agent.sources.power_supply import PowerSupplyClass
 from joulebox_agent.sources.sysfs import Sysfs
 from joulebox_agent.windows import Window, WindowSplitter
 
 from .discharge import Discharge, Gauge, Image, Machine, gauge_updates, script
+
+
+SOURCES = {"battery_gauge": PackGauge, "battery_counter": PackCounter}
 
 
 @dataclass(frozen=True)
@@ -112,7 +117,7 @@ class Run:
         self._clock = ScriptedTime()
         self._first_poll_s = discharge.edges_s[0] + rng.uniform(0.0, 0.5)
         self._update()
-        self.source = SOURCES[source](self._tree)
+        self.source = SOURCES[source](PowerSupplyClass(self._tree))
         self.resolution_j = self.source.report().resolution_j
         self._sampler = Sampler(self.source, self._clock, lost_after_s=1e9)
 

@@ -7,9 +7,14 @@ from typing import Annotated
 import typer
 from rich.console import Console
 from rich.progress import Progress
-from rich.table import Table
+from rich.table import Column, Table
 
 from joulebox_agent.doctor import Diagnosis, diagnose
+from joulebox_agent.sources.choose import KNOWN
+
+SHOWN_CONDITIONS = {"mains_online": "mains", "battery_charge_share": "charge", "temperature_c": "hottest (C)",
+                    "governor": "governor", "energy_preference": "energy preference", "power_profile": "power profile",
+                    "brightness_share": "brightness", "load_1_min": "load (1 min)"}  # fmt: skip
 
 
 def doctor(
@@ -18,7 +23,7 @@ def doctor(
     watch: Annotated[
         float, typer.Option(min=0, max=3600, help="Watch values for S seconds to learn refresh and rate.")
     ] = 0.0,
-    source: Annotated[str, typer.Option(help="Energy source to check; auto takes the best.")] = "auto",
+    source: Annotated[str, typer.Option(help=f"Energy source to check: {', '.join(KNOWN)}.")] = "auto",
 ) -> None:
     """Say what can be measured here, and what is missing for the rest."""
     console = Console(stderr=True)
@@ -31,26 +36,59 @@ def doctor(
     if as_json:
         print(json.dumps(diagnosis.model_dump(mode="json"), indent=1))
     else:
-        _print_table(diagnosis)
+        _print_words(diagnosis)
 
 
-def _print_table(diagnosis: Diagnosis) -> None:
-    console = Console()
-    table = Table("source", "scope", "usable", "power", "refresh", "reason", "remedy")
+def _print_words(diagnosis: Diagnosis) -> None:
+    console = Console(highlight=False)
+    console.print(_sources(diagnosis))
+    if any(report.available and report.refresh_s is None for report in diagnosis.sources):
+        console.print("(refresh, and with it the window that 5 % needs: joulebox-agent doctor --watch 60)\n")
     for report in diagnosis.sources:
+        remedy = f" Remedy: {report.remedy}" if report.remedy else ""
+        console.print(f"{report.method}: {report.reason}.{remedy}", markup=False, soft_wrap=True)
+    console.print()
+    for name, title in SHOWN_CONDITIONS.items():
+        value = diagnosis.conditions.get(name)
+        if value is not None:
+            console.print(f"{title}: {_words(name, value)}", markup=False)
+    if diagnosis.other_cpu_share is not None:
+        console.print(f"other processes: {diagnosis.other_cpu_share:.2f} cores busy")
+    console.print()
+    if diagnosis.discharge_w is None:
+        console.print(f"Discharge unknown: {diagnosis.reason}.", markup=False, soft_wrap=True)
+    else:
+        console.print(
+            f"Discharging at {diagnosis.discharge_w:.3f} W ({diagnosis.reason}).", markup=False, soft_wrap=True
+        )
+    chosen = diagnosis.chosen or "nothing: time and CPU seconds only, no joules"
+    console.print(f"A measurement here would use {chosen}.")
+
+
+def _sources(diagnosis: Diagnosis) -> Table:
+    table = Table(Column("source", no_wrap=True), "usable", "power", "step", "refresh", "5 % needs", "CPU")
+    for report in diagnosis.sources:
+        if not report.this_platform:
+            continue
         table.add_row(
             report.method,
-            report.scope,
             "yes" if report.available else "no",
-            "" if report.power_w is None else f"{report.power_w:.3g} W",
-            "" if report.refresh_s is None else f"{report.refresh_s:.2g} s",
-            report.reason,
-            report.remedy,
+            _unit(report.power_w, "W"),
+            _unit(report.resolution_j, "J"),
+            _unit(report.refresh_s, "s"),
+            _unit(report.window_s_for_5_percent, "s"),
+            "" if report.cpu_share is None else f"{report.cpu_share:.3%}",
         )
-    console.print(table)
-    if diagnosis.discharge_w is None:
-        console.print(f"Discharge unknown: {diagnosis.reason}.", highlight=False)
-    else:
-        console.print(f"Discharging at {diagnosis.discharge_w:.3f} W ({diagnosis.reason}).", highlight=False)
-    chosen = diagnosis.chosen or "nothing: time and CPU seconds only, no joules"
-    console.print(f"A measurement here would use {chosen}.", highlight=False)
+    return table
+
+
+def _unit(value: float | None, unit: str) -> str:
+    return "" if value is None else f"{value:.3g} {unit}"
+
+
+def _words(name: str, value: object) -> str:
+    if isinstance(value, bool):
+        return "plugged in" if value else "unplugged"
+    if isinstance(value, float):
+        return f"{value:.0%}" if name.endswith("_share") else f"{value:.3g}"
+    return str(value)

@@ -1,80 +1,31 @@
-"""Packs and cables of class/power_supply: which are the machine's own, and does it run on its battery now.
+"""Linux' class/power_supply: which nodes are the machine's own packs and cables, and what they say now.
 
 Names tell nothing (BAT1 without BAT0, macsmc-battery, sbs-0-000b), so everything goes by type and scope.
-Kernel units (uW, uA, uV, uWh, uAh) are converted here and nowhere else.
 Source: Documentation/ABI/testing/sysfs-class-power.
 """
 
+import errno
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
-from joulebox_agent.sources.sysfs import Sysfs
+from joulebox_agent.sources.one_cell import Label, may_be_one_cell, one_cell, rateless
+from joulebox_agent.sources.packs import JOULES_PER_WH, Pack, Supplies, plausible
+from joulebox_agent.sources.sysfs import PERMISSION_ERRNOS, UNUSABLE_ERRNOS, Sysfs, sentence
 
 MICRO = 1e-6
-JOULES_PER_WH = 3600.0
-CABLE_TYPES = ("Mains", "USB", "BrickID", "Wireless")
-
-
-@dataclass(frozen=True)
-class Pack:
-    """One system battery as read at one moment; None where the kernel does not know.
-
-    raw  the integers behind the values, in the kernel's units, to notice an update
-    """
-
-    name: str
-    status: str
-    power_w: float | None
-    current_a: float | None
-    voltage_v: float | None
-    energy_wh: float | None
-    charge_ah: float | None
-    raw: tuple[int, ...]
-
-    @property
-    def discharging(self) -> bool:
-        return self.status == "Discharging"
-
-    def drawn_w(self) -> float | None:
-        """Power leaving this pack [W]: `power_now`, else current x voltage, never both; magnitudes.
-
-        Kernels disagree on the sign, so the direction comes from `status` alone. A pack that neither
-        discharges nor hides its state (Unknown) gives nothing; an idle pack without a value counts as 0.
-        """
-        if self.status not in ("Discharging", "Unknown"):
-            return 0.0
-        if self.power_w is not None:
-            return abs(self.power_w)
-        if self.current_a is not None and self.voltage_v is not None:
-            return abs(self.current_a * self.voltage_v)
-        return None if self.discharging else 0.0
-
-
-@dataclass(frozen=True)
-class Supplies:
-    """The machine's packs and the cables that are live."""
-
-    packs: tuple[Pack, ...]
-    cables_online: tuple[str, ...]
-
-    def refusal(self) -> str | None:
-        """Why the battery cannot be measured now, or None. Only a discharge without any cable counts."""
-        if not self.packs:
-            return "no system battery"
-        if self.cables_online:
-            return f"mains power online ({', '.join(self.cables_online)})"
-        charging = [pack.name for pack in self.packs if pack.status == "Charging"]
-        if charging:
-            return f"{charging[0]} is charging"
-        if not any(pack.discharging for pack in self.packs):
-            states = ", ".join(f"{pack.name} is {pack.status or 'without a status'}" for pack in self.packs)
-            return f"no pack is discharging ({states})"
-        return None
+# Neither a pack nor a cable: gauges and chargers beside a phone's battery, and a UPS, which may feed a monitor too.
+GAUGE_TYPES = ("BMS", "Main", "Parallel")
+UPS = "UPS"
+RATES = ("power_now", "current_now", "power_avg", "current_avg", "voltage_now")
+COUNTERS = ("energy_now", "charge_now")
+ANDROIDS_CHARGE = "charge_counter"
 
 
 class PowerSupplyClass:
     """Finds packs and cables, and reads their values as often as asked; a changed list is noticed."""
+
+    platform = "linux"
+    poll_s = 0.5
 
     def __init__(self, sysfs: Sysfs) -> None:
         self.sysfs = sysfs
@@ -82,6 +33,9 @@ class PowerSupplyClass:
         self._names: list[str] | None = None
         self._packs: list[Path] = []
         self._cables: list[Path] = []
+        self._ups: list[str] = []
+        self._twins: dict[str, str] = {}
+        self._origins: dict[str, None] = {}
 
     def pack_folders(self) -> list[Path]:
         """Folders of the system's packs: type Battery, not scope Device, present.
@@ -90,51 +44,97 @@ class PowerSupplyClass:
         """
         try:
             self._find()
+            return self._present()
         except OSError:
             return []
-        return self._packs
+
+    def origins(self) -> tuple[str, ...]:
+        """The files that gave a value so far."""
+        return tuple(self._origins)
 
     def read(self) -> Supplies:
-        """Packs and live cables now. Raises OSError (EIO) when a file fails twice."""
+        """Packs and live cables now. Raises OSError (EIO) when a file that decides on them fails twice."""
         self._find()
-        packs = [self._pack(folder) for folder in self._packs]
+        packs = [self._pack(folder) for folder in self._present()]
         online = [cable.name for cable in self._cables if self.sysfs.integer(cable / "online")]
-        return Supplies(tuple(_one_gauge_a_cell(packs)), tuple(online))
+        notes = [f"{name} is a UPS, which may feed more than this machine" for name in self._ups]
+        self._notice_twins(packs)
+        notes += [f"{one} is a second gauge of {other}'s cell, counted once" for one, other in self._twins.items()]
+        return Supplies(tuple(pack for pack in packs if pack.name not in self._twins), tuple(online), tuple(notes))
 
     def _find(self) -> None:
         names = [child.name for child in self.sysfs.children(self.folder)]
         if names == self._names:
             return
-        packs, cables = [], []
+        packs, cables, ups = [], [], []
         for folder in (self.folder / name for name in names):
             kind = self.sysfs.value(folder / "type") or ""
-            if self.sysfs.value(folder / "scope") == "Device":
+            if not kind or kind in GAUGE_TYPES or self.sysfs.value(folder / "scope") == "Device":
                 continue
-            if kind == "Battery" and self.sysfs.integer(folder / "present") != 0:
+            if kind == "Battery":
                 packs.append(folder)
-            elif kind.startswith(CABLE_TYPES):
+            elif kind == UPS:
+                ups.append(folder.name)
+            else:  # whatever else feeds a machine; phones rename a cable's type as it is plugged in
                 cables.append(folder)
-        self._names, self._packs, self._cables = names, packs, cables  # all or nothing: a cable must not get lost
+        self._packs, self._cables, self._ups = packs, cables, ups  # all or nothing: a cable must not get lost
+        self._names, self._twins = names, {}
+
+    def _present(self) -> list[Path]:
+        """A bay keeps its folder when the pack is pulled out; only `present` tells."""
+        return [folder for folder in self._packs if self.sysfs.integer(folder / "present") != 0]
 
     def _pack(self, folder: Path) -> Pack:
-        power_uw = self.sysfs.integer(folder / "power_now")
-        current_ua = self.sysfs.integer(folder / "current_now")
-        voltage_uv = self.sysfs.integer(folder / "voltage_now")
-        energy_uwh = self.sysfs.integer(folder / "energy_now")
-        charge_uah = self.sysfs.integer(folder / "charge_now")
-        if charge_uah is None:  # Android's name for the same
-            charge_uah = self.sysfs.integer(folder / "charge_counter")
-        values = (power_uw, current_ua, voltage_uv, energy_uwh, charge_uah)
-        return Pack(
-            name=folder.name,
-            status=self.sysfs.value(folder / "status") or "",
-            power_w=_base_unit(power_uw),
-            current_a=_base_unit(current_ua),
-            voltage_v=_base_unit(voltage_uv),
-            energy_wh=_base_unit(energy_uwh),
-            charge_ah=_base_unit(charge_uah),
-            raw=tuple(value for value in values if value is not None),
-        )
+        micro: dict[str, int] = {}
+        faults: dict[str, str] = {}
+        odd: dict[str, str] = {}
+        closed: list[str] = []
+        files = {name: name for name in (*RATES, *COUNTERS)}
+        for file, name in (*files.items(), (ANDROIDS_CHARGE, "charge_now")):
+            if name in micro:
+                continue
+            try:
+                value = self.sysfs.integer(folder / file)
+            except OSError as error:
+                (odd if error.errno in UNUSABLE_ERRNOS else faults)[name] = sentence(error)
+                closed += [str(folder / file)] if error.errno in PERMISSION_ERRNOS else []
+                continue
+            if value is None:
+                continue
+            if nonsense := plausible(file, value):
+                odd[name] = f"{folder / file} says {nonsense}"
+            else:
+                micro[name] = value
+                self._origins[str(folder / file)] = None
+        status = self.sysfs.value(folder / "status")
+        if status is None and not folder.exists():
+            raise OSError(errno.ENODEV, "the pack was pulled out while it was read", str(folder))
+        self._origins[str(folder / "status")] = None
+        return Pack(folder.name, (status or "").capitalize(), micro, faults, odd, tuple(closed))
+
+    def _notice_twins(self, packs: list[Pack]) -> None:
+        """Finds second gauges of one cell. Once found they stay found: the readings of two gauges part for
+        moments, and the power must not double with it."""
+        for i, one in enumerate(packs):
+            for other in packs[i + 1 :]:
+                if {one.name, other.name} & set(self._twins) or not may_be_one_cell(one, other):
+                    continue
+                if one_cell(one, self._label(one), other, self._label(other)):
+                    less, more = (one, other) if rateless(one) and not rateless(other) else (other, one)
+                    self._twins[less.name] = more.name
+
+    def _label(self, pack: Pack) -> Label:
+        def static(name: str) -> int | None:
+            try:
+                return self.sysfs.integer(self.folder / pack.name / name)
+            except OSError:
+                return None
+
+        try:
+            serial = self.sysfs.value(self.folder / pack.name / "serial_number")
+        except OSError:
+            serial = None
+        return Label(static("capacity"), static("charge_full"), serial)
 
     def counter_step_j(self) -> float | None:
         """The step the packs' counters seem to move in [J]: what all their known values are multiples of.
@@ -149,9 +149,21 @@ class PowerSupplyClass:
         known = [step for step in steps if step]
         return max(known) if known else None
 
+    def full_wh(self) -> float | None:
+        """Energy of a full charge of the only pack [Wh]; None when it is not told, or of several packs."""
+        folders = self.pack_folders()
+        if len(folders) != 1:
+            return None
+        folder = folders[0]
+        energy_uwh = self.sysfs.integer(folder / "energy_full")
+        if energy_uwh:
+            return energy_uwh * MICRO
+        charge_uah, voltage_uv = (self.sysfs.integer(folder / name) for name in ("charge_full", "voltage_now"))
+        return charge_uah * MICRO * voltage_uv * MICRO if charge_uah and voltage_uv else None
+
     def _step_j(self, folder: Path) -> float | None:
         def common_step(quantity: str) -> int:
-            names = (f"{quantity}_now", f"{quantity}_full", f"{quantity}_full_design")
+            names = (f"{quantity}_now", f"{quantity}_counter", f"{quantity}_full", f"{quantity}_full_design")
             return math.gcd(*(abs(self.sysfs.integer(folder / name) or 0) for name in names))
 
         if self.sysfs.integer(folder / "energy_now") is not None:
@@ -160,21 +172,3 @@ class PowerSupplyClass:
         if voltage_uv is None:
             return None
         return common_step("charge") * MICRO * voltage_uv * MICRO * JOULES_PER_WH or None
-
-
-def _base_unit(micro: int | None) -> float | None:
-    return None if micro is None else micro * MICRO
-
-
-def _one_gauge_a_cell(packs: list[Pack]) -> list[Pack]:
-    """Drops a second gauge of the same cell: equal voltage and equal non-zero current to the microvolt."""
-    seen: set[tuple[float, float]] = set()
-    kept = []
-    for pack in packs:
-        if pack.voltage_v and pack.current_a:
-            key = (pack.voltage_v, abs(pack.current_a))
-            if key in seen:
-                continue
-            seen.add(key)
-        kept.append(pack)
-    return kept

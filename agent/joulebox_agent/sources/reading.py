@@ -31,7 +31,15 @@ class Reading:
 
 
 class SourceReport(BaseModel):
-    """One line of `doctor`: can this source be read here, from which files, and if not, what helps."""
+    """One line of `doctor`: can this source be read here, from which files, and if not, what helps.
+
+    resolution_j        the step that its energy moves in [J], None where it has no noticeable one
+    refresh_s           time between updates as measured, None unless it was watched
+    window_s_for_5_percent  length of window [s] that a half-width of 5 % needs at the power seen; see `doctor`
+    cpu_share           share of one core that reading it at its own pace takes
+    scale_range         (low, high) factors by which all it says may be off; None for measurements
+    this_platform       False for the sources of other platforms
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -41,6 +49,10 @@ class SourceReport(BaseModel):
     power_w: float | None = None
     refresh_s: float | None = None
     resolution_j: float | None = None
+    window_s_for_5_percent: float | None = None
+    cpu_share: float | None = None
+    scale_range: tuple[float, float] | None = None
+    this_platform: bool = True
     files: tuple[str, ...] = ()
     reason: str = ""
     remedy: str = ""
@@ -49,8 +61,9 @@ class SourceReport(BaseModel):
 class EnergySource(Protocol):
     """A place joules or watts can be read from.
 
-    method        name in every record: battery_gauge, battery_counter, rapl, replay, none
-    scope         what the energy covers: whole machine, CPU package, whole platform, replayed, none
+    method        name in every record: battery_gauge, battery_counter, rapl, hwmon, exec, battery_percent,
+                  estimate_cpu_time, replay, none
+    scope         what the energy covers: whole machine, CPU package, whole platform, replayed, none, or as stated
     quality       what a record made with it may be called
     primary       which of `power_w` and `counter_j` gives the gross energy
     poll_s        a modest polling interval [s], well under the gauge's refresh
