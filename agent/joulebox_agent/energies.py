@@ -62,7 +62,7 @@ def window_energies(
     if counter_bound:
         counter_j = nothing
     if source.primary == "counter":
-        wider = 1.0 if counter_bound else drift_widening(series, "counter", windows, 0.0, pilot_count)
+        wider = 1.0 if counter_bound else drift_widening(series, "counter", windows, NO_LAG, pilot_count)
         return WindowEnergies(counter_j, counter_j, (counter_bound,) if counter_bound else (), wider)
     gauge_bound = _slow_gauge(series, windows)
     if gauge_bound:
@@ -73,17 +73,17 @@ def window_energies(
         if not 1 / (1 + DISAGREEMENT_REJECTED) <= 1 + disagreement <= 1 + DISAGREEMENT_REJECTED:
             counter_j = nothing
             notes[-1] += " and is rejected"
-    wider = drift_widening(series, "power", windows, lag.lag_s, pilot_count)
+    wider = drift_widening(series, "power", windows, lag, pilot_count)
     return WindowEnergies(gross_j, counter_j, tuple(notes), wider, lag.lag_s)
 
 
 def _gross_j(series: PowerSeries, primary: Primary, window: Window, lag: Lag, row: int) -> float | None:
     energy_j = series.energy_j(window.start_s, window.end_s, primary, lag.lag_s)
-    return energy_j + lag.edge_j[row] if energy_j is not None and primary == "power" else energy_j
+    return energy_j + sum(lag.edges_j[row]) if energy_j is not None and primary == "power" else energy_j
 
 
 def drift_widening(
-    series: PowerSeries, primary: Primary, windows: Sequence[Window], lag_s: float, pilot_count: int | None
+    series: PowerSeries, primary: Primary, windows: Sequence[Window], lag: Lag, pilot_count: int | None
 ) -> float:
     """How much wider than their spread says the mean of the windows may be off; see drift.widening.
 
@@ -95,14 +95,16 @@ def drift_widening(
     if count < 2:
         return 1.0
     starts_s, lengths_s, values_j = [], [], []
-    for window in windows:
-        for start_s, end_s, images in window.pieces(count):
-            energy_j = series.energy_j(start_s, end_s, primary, lag_s)
+    for row, window in enumerate(windows):
+        leaks_j = np.zeros(count)
+        leaks_j[[0, -1]] = lag.edges_j[row] if primary == "power" else (0.0, 0.0)
+        for leak_j, (start_s, end_s, images) in zip(leaks_j, window.pieces(count), strict=True):
+            energy_j = series.energy_j(start_s, end_s, primary, lag.lag_s)
             if energy_j is None or end_s <= start_s:
                 return 1.0
             starts_s.append(start_s)
             lengths_s.append(end_s - start_s)
-            values_j.append(energy_j / images)
+            values_j.append((energy_j + leak_j) / images)
     pilot = min(len(windows), max(2, pilot_count or len(windows)))
     return drift.widening(np.array(values_j), np.array(starts_s), np.array(lengths_s), len(windows), pilot)
 

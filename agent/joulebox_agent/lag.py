@@ -25,16 +25,16 @@ NEEDED_GAIN = 8.0  # in twice the log likelihood, before a longer lag is believe
 
 @dataclass(frozen=True)
 class Lag:
-    """lag_s: the gauge shows the mean of this many seconds. edge_j: what every window, integrated half a lag
-    later, lacks because the step at its edges is blurred [J]."""
+    """lag_s: the gauge shows the mean of this many seconds. edges_j: what every window, integrated half a lag
+    later, lacks at its start and at its end because the step there is blurred [J]."""
 
     lag_s: float
-    edge_j: tuple[float, ...]
+    edges_j: tuple[tuple[float, float], ...]
 
 
 def fit_lag(series: PowerSeries, stretches: Sequence[tuple[float, float]]) -> Lag:
     """The gauge's lag from the steps at the edges of stretches (start_s, end_s), in order, without overlap."""
-    nothing = Lag(0.0, (0.0,) * len(stretches))
+    nothing = Lag(0.0, ((0.0, 0.0),) * len(stretches))
     refresh_s = series.refresh_s()
     if refresh_s is None or not stretches:
         return nothing
@@ -49,7 +49,7 @@ def fit_lag(series: PowerSeries, stretches: Sequence[tuple[float, float]]) -> La
         return nothing
     costs = [_cost(times_s, power_w, lag_s, edges_s) for lag_s in lags_s]
     lag_s = next(lag_s for lag_s, cost in zip(lags_s, costs, strict=True) if cost <= min(costs) + NEEDED_GAIN)
-    return Lag(lag_s, tuple(_edge_j(series, stretches, row, lag_s, refresh_s) for row in range(len(stretches))))
+    return Lag(lag_s, tuple(_edges_j(series, *stretch, lag_s, refresh_s) for stretch in stretches))
 
 
 def _cost(times_s: Floats, power_w: Floats, lag_s: float, edges_s: list[float]) -> float:
@@ -101,17 +101,17 @@ def _leak_s(lag_s: float, refresh_s: float) -> float:
     return 0.4 * math.sqrt(lag_s**2 / 12 + refresh_s**2 / 6)
 
 
-def _edge_j(
-    series: PowerSeries, stretches: Sequence[tuple[float, float]], row: int, lag_s: float, refresh_s: float
-) -> float:
-    """Energy that leaks out of a stretch over its edges, from the updates around them; 0 without any [J]."""
-    start_s, end_s = stretches[row]
+def _edges_j(series: PowerSeries, start_s: float, end_s: float, lag_s: float, refresh_s: float) -> tuple[float, float]:
+    """Energy that leaks out of a stretch over either edge, from the updates around it; 0 without any [J]."""
     own_w = _mean_w(series, start_s + lag_s, end_s)
     beside_s = PIECE * refresh_s
-    around_w = [_mean_w(series, start_s - beside_s, start_s), _mean_w(series, end_s + lag_s, end_s + lag_s + beside_s)]
-    if own_w is None:
-        return 0.0
-    return _leak_s(lag_s, refresh_s) * sum(own_w - beside_w for beside_w in around_w if beside_w is not None)
+    before_w = _mean_w(series, start_s - beside_s, start_s)
+    after_w = _mean_w(series, end_s + lag_s, end_s + lag_s + beside_s)
+    leak_s = _leak_s(lag_s, refresh_s)
+    return (
+        0.0 if own_w is None or before_w is None else leak_s * (own_w - before_w),
+        0.0 if own_w is None or after_w is None else leak_s * (own_w - after_w),
+    )
 
 
 def _mean_w(series: PowerSeries, start_s: float, end_s: float) -> float | None:

@@ -24,7 +24,6 @@ from joulebox_agent.windows import Window, WindowSplitter
 
 from .discharge import Discharge, Gauge, Image, Machine, gauge_updates, script
 
-
 SOURCES = {"battery_gauge": PackGauge, "battery_counter": PackCounter}
 
 
