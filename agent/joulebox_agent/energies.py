@@ -15,7 +15,8 @@ from joulebox_agent.windows import Window
 
 ADVISED_REFRESHES = 15
 FEWEST_STEPS = 5  # of a counter in a window, below which its difference says little
-DISAGREEMENT_NOTED, DISAGREEMENT_REJECTED = 0.05, 1.0
+DISAGREEMENT_NOTED = 0.05  # share by which a counter may differ from the gauge unmentioned
+REJECTED_BEYOND = 2.0  # times the gauge's energy, or its inverse
 IDLE_PIECES = 3
 IDLE_WITHOUT_DRIFT = 0.5  # the blocks before and after lie minutes apart
 PIECE_UPDATES, MOST_PIECES = 5, 4  # pieces of a window, in which drift within it shows
@@ -57,7 +58,7 @@ def window_energies(
     gross_j = tuple(_gross_j(series, source.primary, window, lag, row) for row, window in enumerate(windows))
     counter_j = tuple(series.energy_j(w.start_s, w.end_s, "counter") for w in windows)
     notes: list[str] = []
-    disagreement = _disagreement(gross_j, counter_j)
+    disagreement_notes, rejected = _disagreement(gross_j, counter_j, resolution_j or 0.0)
     counter_bound = _coarse_counter(counter_j, windows, resolution_j)
     if counter_bound:
         counter_j = nothing
@@ -68,11 +69,9 @@ def window_energies(
     if gauge_bound:
         return WindowEnergies(nothing, nothing, (gauge_bound,))
     notes += _short_windows(series, windows)
-    if disagreement is not None and not counter_bound and abs(disagreement) > DISAGREEMENT_NOTED:
-        notes.append(f"the battery's counter says {disagreement:+.0%} against its gauge")
-        if not 1 / (1 + DISAGREEMENT_REJECTED) <= 1 + disagreement <= 1 + DISAGREEMENT_REJECTED:
-            counter_j = nothing
-            notes[-1] += " and is rejected"
+    notes += disagreement_notes
+    if rejected:
+        counter_j = nothing
     wider = drift_widening(series, "power", windows, lag, pilot_count)
     return WindowEnergies(gross_j, counter_j, tuple(notes), wider, lag.lag_s)
 
@@ -150,11 +149,21 @@ def _short_windows(series: PowerSeries, windows: list[Window]) -> list[str]:
     ]
 
 
-def _disagreement(gross_j: tuple[float | None, ...], counter_j: tuple[float | None, ...]) -> float | None:
-    """Counter against gauge over the windows that have both, as a share: +0.1 is 10 % more."""
+def _disagreement(
+    gross_j: tuple[float | None, ...], counter_j: tuple[float | None, ...], resolution_j: float
+) -> tuple[list[str], bool]:
+    """What to say of the counter against the gauge over the windows that have both, and whether to reject it.
+
+    Differences within two steps of the counter say nothing.
+    """
     both = [(g, c) for g, c in zip(gross_j, counter_j, strict=True) if g is not None and c is not None]
-    gauge_j = sum(g for g, _ in both)
-    return sum(c for _, c in both) / gauge_j - 1 if gauge_j > 0 else None
+    gauge_j, counted_j = sum(g for g, _ in both), sum(c for _, c in both)
+    if gauge_j <= 0 or abs(counted_j - gauge_j) <= DISAGREEMENT_NOTED * gauge_j + 2 * resolution_j:
+        return [], False
+    note = f"the battery's counter says {counted_j / gauge_j - 1:+.0%} against its gauge"
+    if 1 / REJECTED_BEYOND <= counted_j / gauge_j <= REJECTED_BEYOND:
+        return [note], False
+    return [note + " and is rejected"], True
 
 
 def idle_power(
