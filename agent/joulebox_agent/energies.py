@@ -20,6 +20,7 @@ REJECTED_BEYOND = 2.0  # times the gauge's energy, or its inverse
 IDLE_PIECES = 3
 IDLE_WITHOUT_DRIFT = 0.5  # the blocks before and after lie minutes apart
 PIECE_UPDATES, MOST_PIECES = 5, 4  # pieces of a window, in which drift within it shows
+MANY_WINDOWS, MOST_ROWS = 20, 240  # from which on they show drift uncut; pieces that are looked at
 NO_LAG = Lag(0.0, ())
 NODES_A_STAGE = 4  # of a fast source in one run of a stage, below which neighbouring stages blur
 
@@ -86,12 +87,13 @@ def drift_widening(
 ) -> float:
     """How much wider than their spread says the mean of the windows may be off; see drift.widening.
 
-    Every window is cut into the same number of pieces of whole images, each of PIECE_UPDATES updates or more;
-    1 where a window does not hold two such pieces.
+    Every window is cut into the same number of pieces of whole images, each of PIECE_UPDATES updates or more, of
+    MOST_ROWS windows at the most; 1 where a window does not hold two such pieces and there are few windows.
     """
+    windows = windows[:MOST_ROWS]
     updates = min(series.update_count(w.start_s, w.end_s) for w in windows)
-    count = min(MOST_PIECES, updates // PIECE_UPDATES, *(w.images for w in windows))
-    if count < 2:
+    count = min(MOST_PIECES, updates // PIECE_UPDATES, MOST_ROWS // len(windows), *(w.images for w in windows))
+    if count < (2 if len(windows) < MANY_WINDOWS else 1):
         return 1.0
     starts_s, lengths_s, values_j = [], [], []
     for row, window in enumerate(windows):

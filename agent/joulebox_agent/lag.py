@@ -20,6 +20,7 @@ LONGEST_LAG_S = 120.0
 PIECE = (
     3.0  # refreshes; length of the first piece of constant power beside a stretch, each further one is twice as long
 )
+MOST_STRETCHES = 40  # that the lag, a property of the gauge, is fitted on
 NEEDED_GAIN = 8.0  # in twice the log likelihood, before a longer lag is believed
 
 
@@ -33,11 +34,16 @@ class Lag:
 
 
 def fit_lag(series: PowerSeries, stretches: Sequence[tuple[float, float]]) -> Lag:
-    """The gauge's lag from the steps at the edges of stretches (start_s, end_s), in order, without overlap."""
-    nothing = Lag(0.0, ((0.0, 0.0),) * len(stretches))
+    """The gauge's lag from the steps at the edges of stretches (start_s, end_s) that do not overlap."""
     refresh_s = series.refresh_s()
     if refresh_s is None or not stretches:
-        return nothing
+        return Lag(0.0, ((0.0, 0.0),) * len(stretches))
+    lag_s = _likeliest_s(series, sorted(stretches)[:MOST_STRETCHES], refresh_s)
+    return Lag(lag_s, tuple(_edges_j(series, *stretch, lag_s, refresh_s) for stretch in stretches))
+
+
+def _likeliest_s(series: PowerSeries, stretches: Sequence[tuple[float, float]], refresh_s: float) -> float:
+    """The shortest lag of the grid that explains the updates within the stretches, 0 where they are too few [s]."""
     longest_s = min(LONGEST_LAG_S, min(end_s - start_s for start_s, end_s in stretches))
     lags_s = [count * refresh_s for count in REFRESHES if count * refresh_s <= longest_s]
     inside = np.zeros(series.node_times_s.size, dtype=bool)
@@ -46,10 +52,9 @@ def fit_lag(series: PowerSeries, stretches: Sequence[tuple[float, float]]) -> La
     times_s, power_w = series.node_times_s[inside], series.node_powers_w[inside]
     edges_s = _edges(stretches, lags_s[-1] + refresh_s, PIECE * refresh_s)
     if times_s.size < 2 * len(stretches) + 2:
-        return nothing
+        return 0.0
     costs = [_cost(times_s, power_w, lag_s, edges_s) for lag_s in lags_s]
-    lag_s = next(lag_s for lag_s, cost in zip(lags_s, costs, strict=True) if cost <= min(costs) + NEEDED_GAIN)
-    return Lag(lag_s, tuple(_edges_j(series, *stretch, lag_s, refresh_s) for stretch in stretches))
+    return next(lag_s for lag_s, cost in zip(lags_s, costs, strict=True) if cost <= min(costs) + NEEDED_GAIN)
 
 
 def _cost(times_s: Floats, power_w: Floats, lag_s: float, edges_s: list[float]) -> float:
