@@ -29,7 +29,7 @@ class Machine:
     root: Path
     seed: int = 0
     gauge_s: float = 1.0
-    noise_w: float = 0.05
+    noise_w: float = 0.4
     charge_wh: float = 0.85 * FULL_WH
     time_s: float = 1000.0
     asleep_s: float = 0.0
@@ -40,6 +40,7 @@ class Machine:
     broken: bool = False
     throttles: int = 0
     pack: bool = True
+    used_j: float = 0.0  # the truth: what the machine has drawn since it was made
     faults: list[Callable[["Machine"], None]] = field(default_factory=list)
     samplers: list[Sampler] = field(default_factory=list)
 
@@ -94,7 +95,8 @@ class Machine:
             to_s = max(min([until_s, self._next_refresh_s, *polls]), self.time_s + 1e-6)
             net_w = self.power_w - (self.charger_w if self.plugged else 0.0)
             self.charge_wh = min(FULL_WH, self.charge_wh - net_w * (to_s - self.time_s) / 3600)
-            self._drawn_j += self.power_w * (to_s - self.time_s)
+            self._drawn_j += abs(net_w) * (to_s - self.time_s)
+            self.used_j += self.power_w * (to_s - self.time_s)
             self.time_s = to_s
             if to_s >= self._next_refresh_s:
                 self._next_refresh_s += self.gauge_s
@@ -110,6 +112,13 @@ class Machine:
         self.time_s = 50.0
         self._next_refresh_s, self._since_s = 50.0 + self.gauge_s, 50.0
 
+    def stand_still(self, seconds: float) -> None:
+        """Time passes and nobody notices: a virtual machine that was paused."""
+        self.time_s += seconds
+        self.used_j += self.power_w * seconds
+        self._drawn_j += self.power_w * seconds
+        self._next_refresh_s = self.time_s + self.gauge_s
+
     def suspend(self, seconds: float) -> None:
         """Sleep: the monotonic clock stands still, the boot clock goes on."""
         self.asleep_s += seconds
@@ -118,9 +127,9 @@ class Machine:
 class SimulatedSampler(Sampler):
     """A sampler that the machine polls as its time passes."""
 
-    def __init__(self, source: Any, machine: Machine, lost_after_s: float = 60.0) -> None:
+    def __init__(self, source: Any, machine: Machine, lost_after_s: float = 60.0, poll_s: float | None = None) -> None:
         super().__init__(source, machine, lost_after_s)
-        self.machine = machine
+        self.machine, self.poll_s = machine, poll_s or source.poll_s
         self.due_s = machine.now_s()
 
     def start(self) -> None:
@@ -136,7 +145,7 @@ class SimulatedSampler(Sampler):
 
     def poll(self) -> None:
         if self.machine.now_s() >= self.due_s:
-            self.due_s = self.machine.now_s() + self.source.poll_s
+            self.due_s = self.machine.now_s() + self.poll_s
             self.sample()
 
     def cpu_share(self) -> float:
