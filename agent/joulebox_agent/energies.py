@@ -14,11 +14,13 @@ from joulebox_agent.sources.reading import EnergySource, Primary
 from joulebox_agent.windows import Window
 
 ADVISED_REFRESHES = 15
-FEWEST_STEPS = 5  # of a counter over all windows, below which its difference says little
-DISAGREEMENT_NOTED, DISAGREEMENT_REJECTED = 0.05, 1.0
+FEWEST_STEPS = 5  # of a counter in a window, below which its difference says little
+DISAGREEMENT_NOTED = 0.05  # share by which a counter may differ from the gauge unmentioned
+REJECTED_BEYOND = 2.0  # times the gauge's energy, or its inverse
 IDLE_PIECES = 3
 IDLE_WITHOUT_DRIFT = 0.5  # the blocks before and after lie minutes apart
 PIECE_UPDATES, MOST_PIECES = 5, 4  # pieces of a window, in which drift within it shows
+MANY_WINDOWS, MOST_ROWS = 20, 240  # from which on they show drift uncut; pieces that are looked at
 NO_LAG = Lag(0.0, ())
 NODES_A_STAGE = 4  # of a fast source in one run of a stage, below which neighbouring stages blur
 
@@ -39,11 +41,16 @@ class WindowEnergies:
 
 
 def window_energies(
-    series: PowerSeries, source: EnergySource, windows: list[Window], resolution_j: float | None
+    series: PowerSeries,
+    source: EnergySource,
+    windows: list[Window],
+    resolution_j: float | None,
+    pilot_count: int | None = None,
 ) -> WindowEnergies:
     """Whole-window energies; all None, with a note on the bound, where the source cannot resolve them.
 
     resolution_j  step of the counter [J], None when it has no noticeable one
+    pilot_count   windows whose spread the interval will rest on; None: all
     """
     nothing = (None,) * len(windows)
     if source.quality == "none" or not windows:
@@ -52,63 +59,68 @@ def window_energies(
     gross_j = tuple(_gross_j(series, source.primary, window, lag, row) for row, window in enumerate(windows))
     counter_j = tuple(series.energy_j(w.start_s, w.end_s, "counter") for w in windows)
     notes: list[str] = []
+    disagreement_notes, rejected = _disagreement(gross_j, counter_j, resolution_j or 0.0)
     counter_bound = _coarse_counter(counter_j, windows, resolution_j)
     if counter_bound:
         counter_j = nothing
     if source.primary == "counter":
-        wider = 1.0 if counter_bound else drift_widening(series, "counter", windows, 0.0)
+        wider = 1.0 if counter_bound else drift_widening(series, "counter", windows, NO_LAG, pilot_count)
         return WindowEnergies(counter_j, counter_j, (counter_bound,) if counter_bound else (), wider)
     gauge_bound = _slow_gauge(series, windows)
     if gauge_bound:
         return WindowEnergies(nothing, nothing, (gauge_bound,))
     notes += _short_windows(series, windows)
-    disagreement = _disagreement(gross_j, counter_j)
-    if disagreement is not None and abs(disagreement) > DISAGREEMENT_NOTED:
-        notes.append(f"the battery's counter says {disagreement:+.0%} against its gauge")
-        if not 1 / (1 + DISAGREEMENT_REJECTED) <= 1 + disagreement <= 1 + DISAGREEMENT_REJECTED:
-            counter_j = nothing
-            notes[-1] += " and is rejected"
-    wider = drift_widening(series, "power", windows, lag.lag_s)
+    notes += disagreement_notes
+    if rejected:
+        counter_j = nothing
+    wider = drift_widening(series, "power", windows, lag, pilot_count)
     return WindowEnergies(gross_j, counter_j, tuple(notes), wider, lag.lag_s)
 
 
 def _gross_j(series: PowerSeries, primary: Primary, window: Window, lag: Lag, row: int) -> float | None:
     energy_j = series.energy_j(window.start_s, window.end_s, primary, lag.lag_s)
-    return energy_j + lag.edge_j[row] if energy_j is not None and primary == "power" else energy_j
+    return energy_j + sum(lag.edges_j[row]) if energy_j is not None and primary == "power" else energy_j
 
 
-def drift_widening(series: PowerSeries, primary: Primary, windows: Sequence[Window], lag_s: float) -> float:
+def drift_widening(
+    series: PowerSeries, primary: Primary, windows: Sequence[Window], lag: Lag, pilot_count: int | None
+) -> float:
     """How much wider than their spread says the mean of the windows may be off; see drift.widening.
 
-    Every window is cut into the same number of pieces of whole images, each of PIECE_UPDATES updates or more;
-    1 where a window does not hold two such pieces.
+    Every window is cut into the same number of pieces of whole images, each of PIECE_UPDATES updates or more, of
+    MOST_ROWS windows at the most; 1 where a window does not hold two such pieces and there are few windows.
     """
+    windows = windows[:MOST_ROWS]
     updates = min(series.update_count(w.start_s, w.end_s) for w in windows)
-    count = min(MOST_PIECES, updates // PIECE_UPDATES, *(w.images for w in windows))
-    if count < 2:
+    count = min(MOST_PIECES, updates // PIECE_UPDATES, MOST_ROWS // len(windows), *(w.images for w in windows))
+    if count < (2 if len(windows) < MANY_WINDOWS else 1):
         return 1.0
     starts_s, lengths_s, values_j = [], [], []
-    for window in windows:
-        for start_s, end_s, images in window.pieces(count):
-            energy_j = series.energy_j(start_s, end_s, primary, lag_s)
+    for row, window in enumerate(windows):
+        leaks_j = np.zeros(count)
+        leaks_j[[0, -1]] = lag.edges_j[row] if primary == "power" else (0.0, 0.0)
+        for leak_j, (start_s, end_s, images) in zip(leaks_j, window.pieces(count), strict=True):
+            energy_j = series.energy_j(start_s, end_s, primary, lag.lag_s)
             if energy_j is None or end_s <= start_s:
                 return 1.0
             starts_s.append(start_s)
             lengths_s.append(end_s - start_s)
-            values_j.append(energy_j / images)
-    return drift.widening(np.array(values_j), np.array(starts_s), np.array(lengths_s), len(windows))
+            values_j.append((energy_j + leak_j) / images)
+    pilot = min(len(windows), max(2, pilot_count or len(windows)))
+    return drift.widening(np.array(values_j), np.array(starts_s), np.array(lengths_s), len(windows), pilot)
 
 
 def _coarse_counter(
     counter_j: tuple[float | None, ...], windows: list[Window], resolution_j: float | None
 ) -> str | None:
+    """A counter whose steps are too coarse for the windows: they share steps and are no sample."""
     known = [energy_j for energy_j in counter_j if energy_j is not None]
-    if not known or not resolution_j or sum(known) >= FEWEST_STEPS * resolution_j:
+    if not known or not resolution_j or sum(known) >= FEWEST_STEPS * resolution_j * len(known):
         return None
-    bound_j = FEWEST_STEPS * resolution_j / sum(w.images for w in windows)
+    bound_j = FEWEST_STEPS * resolution_j * len(windows) / sum(w.images for w in windows)
     return (
-        f"not resolvable by the counter: {sum(known):.3g} J in all windows, by steps of "
-        f"{resolution_j:.3g} J; an image costs less than {bound_j:.3g} J"
+        f"not resolvable by the counter: {sum(known):.3g} J in {len(known)} windows, by steps of "
+        f"{resolution_j:.3g} J; an image costs less than {bound_j:.3g} J; make windows longer"
     )
 
 
@@ -139,11 +151,21 @@ def _short_windows(series: PowerSeries, windows: list[Window]) -> list[str]:
     ]
 
 
-def _disagreement(gross_j: tuple[float | None, ...], counter_j: tuple[float | None, ...]) -> float | None:
-    """Counter against gauge over the windows that have both, as a share: +0.1 is 10 % more."""
+def _disagreement(
+    gross_j: tuple[float | None, ...], counter_j: tuple[float | None, ...], resolution_j: float
+) -> tuple[list[str], bool]:
+    """What to say of the counter against the gauge over the windows that have both, and whether to reject it.
+
+    Differences within two steps of the counter say nothing.
+    """
     both = [(g, c) for g, c in zip(gross_j, counter_j, strict=True) if g is not None and c is not None]
-    gauge_j = sum(g for g, _ in both)
-    return sum(c for _, c in both) / gauge_j - 1 if gauge_j > 0 else None
+    gauge_j, counted_j = sum(g for g, _ in both), sum(c for _, c in both)
+    if gauge_j <= 0 or abs(counted_j - gauge_j) <= DISAGREEMENT_NOTED * gauge_j + 2 * resolution_j:
+        return [], False
+    note = f"the battery's counter says {counted_j / gauge_j - 1:+.0%} against its gauge"
+    if 1 / REJECTED_BEYOND <= counted_j / gauge_j <= REJECTED_BEYOND:
+        return [note], False
+    return [note + " and is rejected"], True
 
 
 def idle_power(

@@ -78,7 +78,7 @@ def _counter_objects(series: PowerSeries, from_s: float, to_s: float, held_w: fl
     expected_j = held_w * (to_s - from_s)
     if abs(counted_j - expected_j) <= max(COUNTER_STEPS * step_j, DISAGREEMENT * expected_j):
         return None
-    if counted_j == 0.0:
+    if counted_j <= 1.01 * step_j:
         return f"the counter stood still as well, where {expected_j:.3g} J were used"
     return f"the counter says {counted_j:.3g} J, the held value {expected_j:.3g} J"
 
@@ -88,8 +88,8 @@ def _too_long(series: PowerSeries, held_s: float, refresh_s: float) -> str | Non
     lengths = [max(1, round((to_s - from_s) / refresh_s)) for from_s, to_s, _ in series.holds()]
     run = max(1, round(held_s / refresh_s))
     lengths.remove(run)
-    if not lengths:
-        return None
-    repeats = (sum(lengths) - len(lengths) + 1) / (sum(lengths) + 2)  # never quite 0: Laplace's rule
-    chance = len(lengths) * repeats ** (run - 1)
-    return "it repeats itself nowhere else like that" if chance < BY_CHANCE else None
+    others = sum(lengths)
+    repeats = others - len(lengths)
+    # chance of run - 1 more repeats, the rate of repeats being known from the others only (Jeffreys' prior)
+    chance = math.prod((repeats + 0.5 + more) / (others + 1 + more) for more in range(run - 1))
+    return "it repeats itself nowhere else like that" if (1 + len(lengths)) * chance < BY_CHANCE else None

@@ -99,9 +99,9 @@ class _Findings:
 def _find(record: Recording, rule: MeasureRule) -> _Findings:
     windows, notes = usable_windows(record), list(record.notes)
     series = PowerSeries(record.samples)
-    energies = _energies(record, series, windows)
+    energies = _energies(record, series, windows, rule.min_windows)
     notes += energies.notes
-    idle_w = idle_power(series, record.source, record.idle) if record.idle else None
+    idle_w = idle_power(series, record.source, record.idle, energies.lag_s) if record.idle else None
     if record.idle and idle_w is None:
         notes.append("net energy is unknown: the source is too slow for the idle time, make --idle-s longer")
     per_image = _energy_per_image(energies, windows, idle_w, rule.min_windows)
@@ -157,11 +157,11 @@ def usable_windows(record: Recording) -> list[Window]:
     return [only]
 
 
-def _energies(record: Recording, series: PowerSeries, windows: list[Window]) -> WindowEnergies:
+def _energies(record: Recording, series: PowerSeries, windows: list[Window], pilot_count: int) -> WindowEnergies:
     if record.void is not None:
         nothing = (None,) * len(windows)
         return WindowEnergies(nothing, nothing, ())
-    return window_energies(series, record.source, windows, record.source_report.resolution_j)
+    return window_energies(series, record.source, windows, record.source_report.resolution_j, pilot_count)
 
 
 def _energy_per_image(

@@ -1,5 +1,6 @@
 """Sampling in a process of its own, seen from the process that measures."""
 
+import contextlib
 import json
 import subprocess
 import sys
@@ -140,7 +141,9 @@ class SamplerProcess(SampleLog):
         with process.stdout as stream:
             self._read_lines(stream, began_s, before_s)
         if not self._ended.is_set():
-            self._restart(process.wait())
+            code = process.wait()
+            _end(process)
+            self._restart(code)
 
     def _read_lines(self, stream: IO[str], began_s: float, before_s: float) -> None:
         for line in stream:
@@ -184,12 +187,13 @@ class SamplerProcess(SampleLog):
 
 
 def _end(process: subprocess.Popen[str]) -> None:
-    """Ends a child that is of no use."""
+    """Ends a child that is of no use, and closes what led to it."""
     process.kill()
     process.wait()
     for stream in (process.stdin, process.stdout):
         if stream is not None:
-            stream.close()
+            with contextlib.suppress(OSError):  # a request for a sample that was never read
+                stream.close()
 
 
 def sampler_cost(name: str = "auto", sysfs_root: Path = Path("/sys"), seconds: float = 2.0) -> float:

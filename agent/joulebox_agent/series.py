@@ -15,6 +15,7 @@ Floats = NDArray[np.float64]
 HELD_TOO_LONG = 1.5  # refreshes after which an unchanged value was refreshed, not held
 LONGEST_GAP_S = 10.0  # without a good sample, or three refreshes when that is longer
 FEWEST_CHANGES = 4  # of the power, below which its refresh is told by the other raw numbers
+RECENT_STEPS = 8  # of a counter, whose rate carries it on after the last one
 TORN = 0.5  # refreshes; a power that stood shorter than this was read while the packs were being updated
 TORN_POLLS = 4  # a refresh must hold this many polls before anything in it can be called torn
 
@@ -174,7 +175,7 @@ class PowerSeries:
 
 
 def _counter_nodes(good: list[Sample]) -> dict[int, tuple[Floats, Floats]]:
-    """By epoch: times and joules at which the counter moved, and where it stood at last."""
+    """By epoch: times and joules at which the counter moved, and where it must stand at the last sample."""
     readings: dict[int, list[tuple[float, float]]] = {}
     for sample in good:
         if sample.reading.counter_j is not None:
@@ -182,9 +183,19 @@ def _counter_nodes(good: list[Sample]) -> dict[int, tuple[Floats, Floats]]:
     found = {}
     for epoch, values in readings.items():
         nodes = _changes(values)
-        nodes += values[-1:] if nodes[-1][0] < values[-1][0] else []
+        if nodes[-1][0] < values[-1][0]:
+            nodes.append(_since_last_step(nodes[-1 - RECENT_STEPS :], values[-1][0]))
         found[epoch] = (np.array([t for t, _ in nodes]), np.array([count_j for _, count_j in nodes]))
     return found
+
+
+def _since_last_step(nodes: list[tuple[float, float]], at_s: float) -> tuple[float, float]:
+    """A counter between two steps has used more than it says: on at its recent rate, by less than one step."""
+    (first_s, first_j), (last_s, last_j) = nodes[0], nodes[-1]
+    if last_s <= first_s:
+        return at_s, last_j
+    rate_w, step_j = (last_j - first_j) / (last_s - first_s), (last_j - first_j) / (len(nodes) - 1)
+    return at_s, last_j + min(rate_w * (at_s - last_s), step_j)
 
 
 def _changes(values: list[tuple[float, float]]) -> list[tuple[float, float]]:

@@ -163,8 +163,9 @@ def _check_rank(design: drift.Floats, stages: tuple[str, ...]) -> None:
     """Columns that are combinations of each other cannot be fitted at all."""
     scaled = design / np.linalg.norm(design, axis=0)
     _, singular, vectors = np.linalg.svd(scaled, full_matrices=False)
-    if singular[-1] < DEPENDENT * singular[0]:
-        raise _not_told_apart(vectors[-1], stages)
+    dependent = vectors[singular < DEPENDENT * singular[0]]
+    if len(dependent):
+        raise _not_told_apart(np.linalg.norm(dependent, axis=0), stages)
 
 
 def _check_told_apart(fit: drift.LinearFit, stages: tuple[str, ...], power_w: drift.Floats) -> None:
