@@ -210,6 +210,8 @@ TASKS = {
                  lambda *arguments: call(program("python"), "docs/demo.py", *arguments)),
     "test": Task("the quick tests (arguments after -- go to pytest: python run.py test -- -k NAME)", pytest),
     "test-long": Task("the long tests", lambda *arguments: pytest("-m", "long", *arguments)),
+    "test-energy": Task("how often energy intervals hold a known truth, into docs/energy.md (--runs N, --only WORDS)",
+                        lambda *arguments: call(program("python"), "-m", "tests.energy", *arguments)),
     "test-web": Task("the tests of the pages", lambda *arguments: pytest("tests/web", *arguments)),
     "lint": Task("ruff", lambda *arguments: call(program("ruff"), "check", *(arguments or (".",)))),
     "types": Task("mypy --strict on our packages", types),

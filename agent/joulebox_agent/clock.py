@@ -4,6 +4,7 @@
 agent's samples share one axis. Wall time is never used.
 """
 
+import sys
 import time
 from typing import Protocol
 
@@ -19,17 +20,35 @@ class Clock(Protocol):
 
 
 class SystemClock:
-    """The clocks of this machine.
-
-    Suspension shows as CLOCK_BOOTTIME running ahead of CLOCK_MONOTONIC on Linux. macOS has the pair
-    mach_continuous_time / mach_absolute_time and Windows QueryInterruptTime / QueryUnbiasedInterruptTime;
-    they belong here when those platforms get a source.
-    """
+    """The clocks of this machine. Suspension is the difference of a clock that ticks through it and one that stops."""
 
     def now_s(self) -> float:
         return time.perf_counter_ns() / 1e9
 
     def slept_s(self) -> float:
+        return _slept_s()
+
+
+if sys.platform == "win32":
+    import ctypes
+
+    _realtime = ctypes.WinDLL("api-ms-win-core-realtime-l1-1-1.dll")
+
+    def _slept_s() -> float:
+        """QueryInterruptTime counts sleep, QueryUnbiasedInterruptTime does not; both in units of 100 ns."""
+        biased, unbiased = ctypes.c_ulonglong(), ctypes.c_ulonglong()
+        _realtime.QueryUnbiasedInterruptTime(ctypes.byref(unbiased))
+        _realtime.QueryInterruptTime(ctypes.byref(biased))
+        return (biased.value - unbiased.value) / 1e7
+elif sys.platform == "darwin":
+
+    def _slept_s() -> float:
+        """mach_continuous_time counts sleep, mach_absolute_time does not; these are their names in POSIX."""
+        return (time.clock_gettime_ns(time.CLOCK_MONOTONIC_RAW) - time.clock_gettime_ns(time.CLOCK_UPTIME_RAW)) / 1e9
+else:
+
+    def _slept_s() -> float:
+        """CLOCK_BOOTTIME counts sleep, CLOCK_MONOTONIC does not."""
         boot_clock = getattr(time, "CLOCK_BOOTTIME", None)
         if boot_clock is None:
             return 0.0

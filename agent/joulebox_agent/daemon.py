@@ -26,13 +26,15 @@ from joulebox_agent.errors import (
     TokenRejectedError,
     UsageError,
 )
-from joulebox_agent.measure import Job, Listener, Measurement, StoppedError
+from joulebox_agent.measure import Measurement
+from joulebox_agent.meter import Listener, StoppedError
 from joulebox_agent.result import Result, build_result
 from joulebox_agent.rule import MeasureRule, make_rule
 from joulebox_agent.server import Lease, Server
 from joulebox_agent.sources.choose import choose, unfit_reason
 from joulebox_agent.spool import Entry, Spool
 from joulebox_agent.state import StateDir, boot_id
+from joulebox_agent.visit import Job
 
 
 class ShownListener(Listener, AbstractContextManager["ShownListener"], Protocol):
@@ -203,7 +205,7 @@ class Daemon:
                 [str(folder), "--settings", str(settings), *defines],
                 Path(scratch) / "last.exr",
             )
-            measurement = Measurement(job, rule, choice, listener, stop=self._stop, sysfs_root=self._options.sysfs_root)
+            measurement = Measurement(job, rule, choice, listener, self._stop, self._options.sysfs_root)
             record = measurement.run()
             if record.void is not None:
                 self._give_back(lease, f"the measurement is void: {record.void}", failed=not record.environment)

@@ -51,6 +51,14 @@ class StageEnergy(_Part):
     regressed: float | None = None
 
 
+class StageIntervals(_Part):
+    """The 95 % intervals of a stage's estimates, where they have one."""
+
+    equation_2: Interval | None = None
+    integrated: Interval | None = None
+    regressed: Interval | None = None
+
+
 class StageRecord(_Part):
     """Per image: wall and CPU seconds, rays, joules."""
 
@@ -58,10 +66,11 @@ class StageRecord(_Part):
     cpu_s: float
     rays: int
     energy_j: StageEnergy
+    energy_intervals_j: StageIntervals | None = None
 
 
 class WindowRecord(_Part):
-    """One window: start_s since sampling began, time_s of wall clock, sums over its images."""
+    """One window: start_s since sampling began, time_s of wall clock, sums over its images; its block from 1 on."""
 
     start_s: float
     time_s: float
@@ -69,6 +78,16 @@ class WindowRecord(_Part):
     energy_j: float | None
     cpu_s: float
     stages_s: dict[str, float]
+    block: int | None = None
+
+
+class VoidWindowRecord(_Part):
+    """A stretch that was meant as a window and is in no number of the document."""
+
+    start_s: float
+    time_s: float
+    images: int
+    reason: str
 
 
 class StateAround(_Part):
@@ -99,9 +118,12 @@ class MeasureDocument(_Part):
     confidence: float = CONFIDENCE
     stages: dict[str, StageRecord]
     window_data: tuple[WindowRecord, ...]
+    void_windows: tuple[VoidWindowRecord, ...] = ()
+    sampler_cpu_share: float | None = None
     power_samples: str | None
     conditions: StateAround
     void: str | None
+    suspect: str | None = None
     noise: None = None
     pixel_sha256: str | None
     image_blob: str | None

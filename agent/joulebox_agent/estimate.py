@@ -33,27 +33,33 @@ def t_quantile(degrees_of_freedom: int, confidence: float = CONFIDENCE) -> float
     return float(stdtrit(degrees_of_freedom, 0.5 + confidence / 2))
 
 
-def two_stage_interval(values: Sequence[float], pilot_count: int, confidence: float = CONFIDENCE) -> Interval:
+def two_stage_interval(
+    values: Sequence[float], pilot_count: int, confidence: float = CONFIDENCE, widening: float = 1.0
+) -> Interval:
     """Mean of all values with the bounds of Stein's two-stage rule.
 
     The spread and its degrees of freedom are the pilot's (the first `pilot_count` values): the number of
     further windows was chosen from that spread, and only so the interval keeps its rate. Student's t over
     all windows would cover 92.6 instead of 95 % in the middle of the range. Without further windows both
-    are the same. Raises ValueError for fewer than two values, which say nothing of their spread.
+    are the same. `widening` is the factor that drift between the windows asks for (drift.py).
+    Raises ValueError for fewer than two values, which say nothing of their spread.
     """
     if len(values) < 2:
         raise ValueError("an interval needs at least two values")
     mean = float(np.mean(values))
     pilot = values[: max(2, pilot_count)]
     spread = float(np.std(pilot, ddof=1))
-    half = t_quantile(len(pilot) - 1, confidence) * spread / math.sqrt(len(values))
+    half = widening * t_quantile(len(pilot) - 1, confidence) * spread / math.sqrt(len(values))
     return Interval(value=mean, low=mean - half, high=mean + half)
 
 
-def windows_needed(pilot: Sequence[float], half_width: float, confidence: float = CONFIDENCE) -> int:
+def windows_needed(
+    pilot: Sequence[float], half_width: float, confidence: float = CONFIDENCE, widening: float = 1.0
+) -> int:
     """Windows that Stein's rule asks for, at least the pilot's own.
 
     half_width  wanted half-width as a share of the mean, > 0
+    widening    factor that drift between the windows asks for
     """
     wanted = half_width * abs(float(np.mean(pilot)))
     spread = float(np.std(pilot, ddof=1))
@@ -61,7 +67,7 @@ def windows_needed(pilot: Sequence[float], half_width: float, confidence: float 
         return len(pilot)
     if wanted == 0.0:
         return 1_000_000_000  # a mean of nothing is never known to a share of itself
-    needed = (t_quantile(len(pilot) - 1, confidence) * spread / wanted) ** 2
+    needed = (widening * t_quantile(len(pilot) - 1, confidence) * spread / wanted) ** 2
     return max(len(pilot), math.ceil(needed))
 
 

@@ -7,7 +7,7 @@ from types import TracebackType
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-from joulebox_agent.measure import Listener
+from joulebox_agent.meter import Listener
 
 REDRAW_S = 0.5  # drawing costs energy too
 

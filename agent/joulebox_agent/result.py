@@ -1,29 +1,33 @@
 """From a recording to the measure document: intervals over windows, joules per stage, notes."""
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from joulebox_agent.calibration import Calibration
 from joulebox_agent.conditions import Conditions
 from joulebox_agent.document import (
     EnergyPerImage,
     MeasureDocument,
     RendererBuild,
-    StageEnergy,
-    StageRecord,
     StateAround,
+    VoidWindowRecord,
     WindowRecord,
 )
 from joulebox_agent.energies import WindowEnergies, idle_power, window_energies
 from joulebox_agent.errors import RendererError
 from joulebox_agent.estimate import Interval, net_of_idle, two_stage_interval
 from joulebox_agent.loop import ImageEvent, ReadyEvent
-from joulebox_agent.recording import Recording
+from joulebox_agent.recording import Recording, VoidWindow
 from joulebox_agent.rule import MeasureRule
-from joulebox_agent.sampler import samples_ndjson
+from joulebox_agent.sampler import HIGHEST_CPU_SHARE, samples_ndjson
 from joulebox_agent.series import PowerSeries
-from joulebox_agent.windows import Window, stage_energies_j
+from joulebox_agent.sources.reading import Primary
+from joulebox_agent.stage_power import StagePowerFit
+from joulebox_agent.stages import StageEvidence, stage_records
+from joulebox_agent.windows import Window
 
 
 @dataclass(frozen=True)
@@ -35,13 +39,26 @@ class Result:
     notes: tuple[str, ...]
 
 
-def build_result(record: Recording, rule: MeasureRule, image_file: Path) -> Result:
-    """Turns what was recorded into the document. Raises RendererError when not even `ready` was seen."""
+def build_result(
+    record: Recording,
+    rule: MeasureRule,
+    image_file: Path,
+    powers: StagePowerFit | None = None,
+    calibration: Calibration | None = None,
+) -> Result:
+    """Turns what was recorded into the document. Raises RendererError when not even `ready` was seen.
+
+    powers       stage powers of a sweep that this recording belongs to
+    calibration  what RAPL's watts are worth at the battery, where both were read
+    """
     if record.ready is None:
         raise RendererError(f"The measurement ended before the renderer was ready: {record.void}.")
     found = _find(record, rule)
     windows, energies = found.windows, found.energies
     samples_sha256, image_sha256, blobs = _blobs(record, image_file)
+    fast, primary = _fast_series(record)
+    gross_j = energies.gross_j if found.per_image.gross else (None,) * len(windows)
+    evidence = StageEvidence(windows, gross_j, rule.min_windows, energies.widening, fast, primary, calibration, powers)
     document = MeasureDocument(
         **_identity(record.ready, record.last_image),
         method=record.source.method,
@@ -54,12 +71,15 @@ def build_result(record: Recording, rule: MeasureRule, image_file: Path) -> Resu
         time_s_per_image=_time_interval(record, windows, "time_s", rule.min_windows),
         cpu_s_per_image=_time_interval(record, windows, "cpu_s", rule.min_windows),
         energy_j_per_image=found.per_image,
-        stages=_stages(windows, energies if found.per_image.gross else None),
-        window_data=tuple(_window_record(w, e, record.start_s) for w, e in zip(windows, energies.gross_j, strict=True)),
+        stages=stage_records(evidence),
+        window_data=_window_records(record, windows, energies.gross_j),
+        void_windows=tuple(_void_record(voided, record.start_s) for voided in record.voided),
+        sampler_cpu_share=round(record.sampler_cpu_share, 6) if record.source.quality != "none" else None,
         power_samples=samples_sha256,
         image_blob=image_sha256,
         conditions=_conditions(record, found),
         void=record.void,
+        suspect=record.suspect,
     )
     return Result(document, blobs, found.notes)
 
@@ -77,17 +97,27 @@ class _Findings:
 
 
 def _find(record: Recording, rule: MeasureRule) -> _Findings:
-    windows, notes = _usable_windows(record), list(record.notes)
+    windows, notes = usable_windows(record), list(record.notes)
     series = PowerSeries(record.samples)
-    energies = _energies(record, series, windows)
+    energies = _energies(record, series, windows, rule.min_windows)
     notes += energies.notes
-    idle_w = idle_power(series, record.source, record.idle) if record.idle else None
+    idle_w = idle_power(series, record.source, record.idle, energies.lag_s) if record.idle else None
     if record.idle and idle_w is None:
         notes.append("net energy is unknown: the source is too slow for the idle time, make --idle-s longer")
     per_image = _energy_per_image(energies, windows, idle_w, rule.min_windows)
     per_image = per_image.within(record.source_report.scale_range)
     if record.source.quality != "none" and per_image.gross is None and not energies.notes and record.void is None:
         notes.append("energy is unknown: it needs at least two windows with readings")
+    if record.voided:
+        reasons = "; ".join(dict.fromkeys(voided.reason for voided in record.voided))
+        notes.append(f"{len(record.voided)} void windows were left out: {reasons}")
+    if record.source.quality != "none" and record.sampler_cpu_share > HIGHEST_CPU_SHARE:
+        notes.append(
+            f"the sampler took {record.sampler_cpu_share:.2%} of a core, more than {HIGHEST_CPU_SHARE:.1%}: "
+            "it is part of what was measured"
+        )
+    if record.suspect is not None:
+        notes.append(record.suspect)
     return _Findings(windows, energies, per_image, idle_w, series.refresh_s(), tuple(notes))
 
 
@@ -114,13 +144,12 @@ def _conditions(record: Recording, found: _Findings) -> StateAround:
     return StateAround(before={**record.before, **before}, after={**record.after, **after})
 
 
-def _usable_windows(record: Recording) -> list[Window]:
+def usable_windows(record: Recording) -> list[Window]:
     """The closed windows; without any, the images there are as one window, the warm-up as the last resort."""
     if record.windows:
         return record.windows
-    rest = record.splitter.rest() if record.splitter else None
-    if rest is not None:
-        return [rest]
+    if record.rest is not None:
+        return [record.rest]
     if record.warm_up is None:
         return []
     only = Window(record.warm_up.start_s)
@@ -128,11 +157,11 @@ def _usable_windows(record: Recording) -> list[Window]:
     return [only]
 
 
-def _energies(record: Recording, series: PowerSeries, windows: list[Window]) -> WindowEnergies:
+def _energies(record: Recording, series: PowerSeries, windows: list[Window], pilot_count: int) -> WindowEnergies:
     if record.void is not None:
         nothing = (None,) * len(windows)
         return WindowEnergies(nothing, nothing, ())
-    return window_energies(series, record.source, windows, record.source_report.resolution_j)
+    return window_energies(series, record.source, windows, record.source_report.resolution_j, pilot_count)
 
 
 def _energy_per_image(
@@ -140,7 +169,7 @@ def _energy_per_image(
 ) -> EnergyPerImage:
     def interval(values_j: tuple[float | None, ...]) -> Interval | None:
         known = [v / w.images for v, w in zip(values_j, windows, strict=True) if v is not None]
-        return two_stage_interval(known, pilot_count) if len(known) >= 2 else None
+        return two_stage_interval(known, pilot_count, widening=energies.widening) if len(known) >= 2 else None
 
     gross, counter = interval(energies.gross_j), interval(energies.counter_j)
     net = None
@@ -163,34 +192,39 @@ def _time_interval(record: Recording, windows: list[Window], name: str, pilot_co
     return two_stage_interval(values, len(values))
 
 
-def _stages(windows: list[Window], energies: WindowEnergies | None) -> dict[str, StageRecord]:
-    """Means per image over all windows; joules over the windows whose energy is known."""
-    images = sum(w.images for w in windows)
-    names = dict.fromkeys(name for w in windows for name in w.stages)
-    gross_j = energies.gross_j if energies else (None,) * len(windows)
-    shares = [(w, stage_energies_j(w, g)) for w, g in zip(windows, gross_j, strict=True) if g is not None]
-    metered = sum(w.images for w, _ in shares)
-    stages = {}
-    for name in names:
-        totals = [w.stages[name] for w in windows if name in w.stages]
-        joules = sum(share.get(name, 0.0) for _, share in shares) / metered if metered else None
-        stages[name] = StageRecord(
-            time_s=sum(t.time_s for t in totals) / images,
-            cpu_s=sum(t.cpu_s for t in totals) / images,
-            rays=round(sum(t.rays for t in totals) / images),
-            energy_j=StageEnergy(equation_2=joules),
+def _fast_series(record: Recording) -> tuple[PowerSeries | None, Primary]:
+    """The series that may resolve stages: RAPL's where it was read along, else the source's own."""
+    if record.companion_samples:
+        return PowerSeries(record.companion_samples), "counter"
+    if record.source.quality == "none":
+        return None, "power"
+    return PowerSeries(record.samples), record.source.primary
+
+
+def _window_records(
+    record: Recording, windows: list[Window], gross_j: Sequence[float | None]
+) -> tuple[WindowRecord, ...]:
+    blocks: list[int | None] = [block + 1 for block in record.blocks] if record.windows else [None] * len(windows)
+    return tuple(
+        WindowRecord(
+            start_s=window.start_s - record.start_s,
+            time_s=window.wall_s,
+            images=window.images,
+            energy_j=energy_j,
+            cpu_s=window.cpu_s,
+            stages_s={name: totals.time_s for name, totals in window.stages.items()},
+            block=block,
         )
-    return stages
+        for window, energy_j, block in zip(windows, gross_j, blocks, strict=True)
+    )
 
 
-def _window_record(window: Window, energy_j: float | None, start_s: float) -> WindowRecord:
-    return WindowRecord(
-        start_s=window.start_s - start_s,
-        time_s=window.wall_s,
-        images=window.images,
-        energy_j=energy_j,
-        cpu_s=window.cpu_s,
-        stages_s={name: totals.time_s for name, totals in window.stages.items()},
+def _void_record(voided: VoidWindow, start_s: float) -> VoidWindowRecord:
+    return VoidWindowRecord(
+        start_s=voided.start_s - start_s,
+        time_s=max(0.0, voided.end_s - voided.start_s),
+        images=voided.images,
+        reason=voided.reason,
     )
 
 

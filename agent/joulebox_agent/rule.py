@@ -4,13 +4,18 @@ from typing import Annotated, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from joulebox_agent.energies import ADVISED_REFRESHES
 from joulebox_agent.errors import UsageError
+
+LONG_WINDOW_S = 60.0  # whoever asks for less wants short windows, and is told what they are worth
+SLOWEST_REFRESH_S = 30.0  # of a gauge that has not been seen to refresh yet
 
 
 class MeasureRule(BaseModel):
     """Windows of repeated images.
 
-    window_s       shortest window [s]; it ends at the first image that ends later
+    window_s       shortest window [s]; it ends at the first image that ends later. From a minute on a window
+                   also holds 15 refreshes of the gauge, as measured
     min_windows    the pilot
     max_windows    never more than this, whatever the half-width asks for
     half_width     wanted half-width of the 95 % interval as a share of the mean
@@ -30,6 +35,11 @@ class MeasureRule(BaseModel):
     meter: bool = True
     idle_s: Annotated[float, Field(ge=0, le=3600)] = 0.0
     silence_s: Annotated[float, Field(gt=0, le=86_400)] = 600.0
+
+    @property
+    def refreshes_a_window(self) -> int:
+        """Refreshes of the gauge that a window must hold; 0 where short windows were asked for."""
+        return ADVISED_REFRESHES if self.window_s >= LONG_WINDOW_S else 0
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:

@@ -1,30 +1,106 @@
-"""A thread that looks at an energy source at a modest rate and remembers what it saw."""
+"""What is read from an energy source over time, who reads it, and what voids it."""
 
 import json
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 from joulebox_agent.clock import Clock, SystemClock
 from joulebox_agent.sources.reading import EnergySource, Reading
+from joulebox_agent.watch import FaultWatch, Patience
 
-SENSOR_LOST_AFTER_S = 15.0
-SLEPT_AT_LEAST_S = 0.1
+SENSOR_LOST_AFTER_S = Patience().lost_s
+HIGHEST_CPU_SHARE = 0.005  # of one core, for a sampler that does not disturb what it measures
 
 
 @dataclass(frozen=True)
 class Sample:
-    """A reading and when it was taken [s on the perf_counter axis]."""
+    """A reading and when it was taken [s on the perf_counter axis]; slept_s: suspended since boot, by then."""
 
     time_s: float
     reading: Reading
+    slept_s: float = 0.0
 
 
-class Sampler:
-    """Polls `source` every `source.poll_s`; touches neither disk nor network.
+class Sampling(Protocol):
+    """Whoever reads a source while something else runs.
 
-    `trouble()` says what voids a measurement: the source refused (mains appeared), the machine slept,
-    or no good sample came for `lost_after_s`.
+    start_s  when it was made: the zero of every sentence about time
+    """
+
+    start_s: float
+
+    def start(self) -> None:
+        """Begins to read. Raises SourceUnavailableError when the source cannot be read."""
+
+    def stop(self) -> None:
+        """Ends the reading; samples stay. Safe to call again."""
+
+    def pause(self, seconds: float) -> None:
+        """Waits, or returns at once when stopped."""
+
+    def sample(self) -> None:
+        """One sample now, there when this returns: a fast counter is to be known at a window's edge."""
+
+    def samples(self) -> list[Sample]:
+        """All samples so far, oldest first."""
+
+    def companion_samples(self) -> list[Sample]:
+        """Samples of the second source that is read along for calibration; empty without one."""
+
+    def void_reason(self, start_s: float, end_s: float) -> str | None:
+        """Why a stretch of time must not be used, or None."""
+
+    def trouble(self) -> str | None:
+        """Why nothing more can be measured, or None."""
+
+    def cpu_share(self) -> float:
+        """CPU time of the sampling as a share of one core since it began."""
+
+
+class SampleLog:
+    """Samples with what the watch makes of them; one thread writes, any may ask."""
+
+    def __init__(self, start_s: float, watch: FaultWatch) -> None:
+        self.start_s = start_s
+        self._samples: list[Sample] = []
+        self._companions: list[Sample] = []
+        self._watch = watch
+        self._lock = threading.Lock()
+
+    def samples(self) -> list[Sample]:
+        with self._lock:
+            return list(self._samples)
+
+    def companion_samples(self) -> list[Sample]:
+        with self._lock:
+            return list(self._companions)
+
+    def void_reason(self, start_s: float, end_s: float) -> str | None:
+        with self._lock:
+            return self._watch.over(start_s, end_s)
+
+    def trouble(self) -> str | None:
+        with self._lock:
+            return self._watch.end()
+
+    def _keep(self, sample: Sample) -> None:
+        with self._lock:
+            self._samples.append(sample)
+            self._watch.add(sample.time_s, sample.slept_s, sample.reading)
+
+    def _keep_companion(self, sample: Sample) -> None:
+        with self._lock:
+            self._companions.append(sample)
+
+
+class Sampler(SampleLog):
+    """Polls `source` every `source.poll_s` in a thread of this process; touches neither disk nor network.
+
+    For sources that exist in this process only and for clocks that are not the machine's; a measurement of
+    this machine samples in a process of its own (`SamplerProcess`).
     """
 
     def __init__(
@@ -32,13 +108,9 @@ class Sampler:
     ) -> None:
         self.source = source
         self.clock: Clock = clock or SystemClock()
-        self.start_s = self.clock.now_s()
-        self._lost_after_s = lost_after_s
-        self._slept_before_s = self.clock.slept_s()
-        self._samples: list[Sample] = []
-        self._last_good_s = self.start_s
-        self._trouble: str | None = None
-        self._lock = threading.Lock()
+        start_s = self.clock.now_s()
+        super().__init__(start_s, FaultWatch(start_s, source.poll_s, source.primary, Patience(lost_s=lost_after_s)))
+        self._reading = threading.Lock()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._poll, name="sampler", daemon=True)
         self._cpu_s = 0.0
@@ -47,48 +119,20 @@ class Sampler:
         self._thread.start()
 
     def stop(self) -> None:
-        """Ends the thread. Samples stay."""
         self._ended.set()
         if self._thread.ident is not None:
             self._thread.join()
 
     def pause(self, seconds: float) -> None:
-        """Waits, or returns at once when the sampler was stopped."""
         self._ended.wait(seconds)
 
     def sample(self) -> None:
         """Takes one sample now: the poll's own step, and what a caller does at the edge of a window."""
-        with self._lock:
+        with self._reading:
             reading = self.source.read()
-            now_s = self.clock.now_s()
-            self._samples.append(Sample(now_s, reading))
-            self._judge(now_s, reading)
-
-    def _judge(self, now_s: float, reading: Reading) -> None:
-        if reading.problem is None and reading.refusal is None:
-            self._last_good_s = now_s
-        if self._trouble is not None:
-            return
-        at = f"at {now_s - self.start_s:.1f} s"
-        slept_s = self.clock.slept_s() - self._slept_before_s
-        if slept_s > SLEPT_AT_LEAST_S:
-            self._trouble = f"the machine slept for {slept_s:.1f} s, noticed {at}"
-        elif reading.refusal is not None:
-            self._trouble = f"{reading.refusal} {at}"
-        elif now_s - self._last_good_s > self._lost_after_s:
-            self._trouble = f"the sensor was lost {at} ({reading.problem})"
-
-    def trouble(self) -> str | None:
-        """Why the measurement is void since some moment, or None."""
-        return self._trouble
-
-    def samples(self) -> list[Sample]:
-        """A copy of all samples so far, oldest first."""
-        with self._lock:
-            return list(self._samples)
+            self._keep(Sample(self.clock.now_s(), reading, self.clock.slept_s()))
 
     def cpu_share(self) -> float:
-        """CPU time of the sampling thread as a share of one core since the start."""
         elapsed_s = self.clock.now_s() - self.start_s
         return self._cpu_s / elapsed_s if elapsed_s > 0 else 0.0
 
@@ -99,7 +143,7 @@ class Sampler:
             self._ended.wait(self.source.poll_s)
 
 
-def samples_ndjson(samples: list[Sample], start_s: float) -> bytes:
+def samples_ndjson(samples: Sequence[Sample], start_s: float) -> bytes:
     """Samples as one JSON object a line, times relative to `start_s`; the blob a result names."""
     lines = []
     for sample in samples:

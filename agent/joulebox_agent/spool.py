@@ -53,8 +53,8 @@ class Spool:
         try:
             for sha256, content in blobs.items():
                 if not (self._blobs / sha256).exists():
-                    _write(self._blobs / sha256, content)
-            _write(self.folder / f"{entry.attempt_id}.json", entry.model_dump_json().encode())
+                    write_whole(self._blobs / sha256, content)
+            write_whole(self.folder / f"{entry.attempt_id}.json", entry.model_dump_json().encode())
         except OSError as error:
             raise _full(self.folder, error) from error
 
@@ -111,7 +111,7 @@ class Spool:
         return shutil.disk_usage(self.folder).free >= ROOM_WANTED_BYTES
 
 
-def _write(path: Path, content: bytes) -> None:
+def write_whole(path: Path, content: bytes) -> None:
     """The file with this content or no file at all, even when the power goes."""
     draft = path.with_name(path.name + ".draft")
     try:

@@ -14,7 +14,8 @@ from agent_testing import FAKE_COMMAND, RENDERER, ScriptedClock
 from joulebox_agent.document import MeasureDocument
 from joulebox_agent.errors import RendererError
 from joulebox_agent.loop import RendererLoop
-from joulebox_agent.measure import Job, Measurement, StoppedError
+from joulebox_agent.measure import Measurement
+from joulebox_agent.meter import StoppedError
 from joulebox_agent.recording import Recording
 from joulebox_agent.result import build_result
 from joulebox_agent.rule import MeasureRule
@@ -22,6 +23,7 @@ from joulebox_agent.sampler import Sampler
 from joulebox_agent.sources.choose import Choice, choose
 from joulebox_agent.sources.reading import Reading
 from joulebox_agent.sources.replay import Replay, bundled_trace
+from joulebox_agent.visit import Job
 
 Agent = Callable[..., tuple[int, str, str]]
 SHORT = ("--renderer", RENDERER, "--window-s", "0.15", "--min-windows", "3", "--max-windows", "3")
@@ -234,15 +236,16 @@ def test_a_cable_that_appears_voids_and_stops(tmp_path: Path) -> None:
     assert document.energy_j_per_image.gross is None
 
 
-def test_a_machine_that_slept_and_a_lost_sensor_are_trouble() -> None:
+def test_a_machine_that_slept_voids_a_stretch_and_a_lost_sensor_ends_it() -> None:
     clock = ScriptedClock()
     sampler = Sampler(Replay(bundled_trace(), 0.1, clock), clock, lost_after_s=5.0)
     sampler.sample()
-    assert sampler.trouble() is None
     clock.time_s += 3.0
     clock.asleep_s = 42.0
     sampler.sample()
-    assert sampler.trouble() == "the machine slept for 42.0 s, noticed at 3.0 s"
+    assert sampler.void_reason(1000.0, 1001.0) == "the machine slept for 42.0 s, noticed at 3.0 s"
+    assert sampler.void_reason(1003.0, 1004.0) is None
+    assert sampler.trouble() is None
 
     class Broken(Replay):
         def read(self) -> Reading:
@@ -252,6 +255,7 @@ def test_a_machine_that_slept_and_a_lost_sensor_are_trouble() -> None:
     sampler = Sampler(Broken(bundled_trace(), 0.1, clock), clock, lost_after_s=5.0)
     sampler.sample()
     assert sampler.trouble() is None  # one bad sample voids itself only
+    assert sampler.void_reason(1000.0, 1001.0) is None
     clock.time_s += 6.0
     sampler.sample()
     assert sampler.trouble() == "the sensor was lost at 6.0 s (power_now: EIO)"
@@ -278,7 +282,7 @@ def test_the_renderer_never_outlives_its_block() -> None:
 def test_numbers_at_the_border_carry_their_unit(tmp_path: Path) -> None:
     """Every numeric field of the document says its unit, or is in the list of what has none."""
     unitless = {"schema", "images", "windows", "confidence", "rays", "threads", "value", "low", "high", "equation_2",
-                "battery_cycle_count", "throttle_count", "load_1_min"}  # fmt: skip
+                "block", "battery_cycle_count", "throttle_count", "load_1_min"}  # fmt: skip
     suffixes = ("_s", "_j", "_w", "_c", "_share", "_wh", "_m")
     record = measured(tmp_path)
     document = build_result(record, RULE, tmp_path / "last.exr").document.to_json()

@@ -42,11 +42,18 @@ class StageEnergy(Document):
     regressed: Energy | None = None
 
 
+class StageIntervals(Document):
+    equation_2: NetQuantity | None = None
+    integrated: NetQuantity | None = None
+    regressed: NetQuantity | None = None
+
+
 class Stage(Document):
     time_s: Amount
     cpu_s: Amount | None = None
     rays: float | None = Field(default=None, ge=0, le=1e18)
     energy_j: StageEnergy = StageEnergy()
+    energy_intervals_j: StageIntervals | None = None
 
 
 class Window(Document):
@@ -56,6 +63,16 @@ class Window(Document):
     energy_j: Energy | None = None
     cpu_s: Amount | None = None
     stages_s: dict[str, Amount] = Field(default_factory=dict)
+    block: Count | None = None
+
+
+class VoidWindow(Document):
+    """A stretch that was meant as a window and is in no number of the document."""
+
+    start_s: float
+    time_s: Amount
+    images: Count
+    reason: str
 
 
 class MeasuredRenderer(Document):
@@ -94,6 +111,9 @@ class MeasureDocument(Document):
     plan: dict[str, JsonValue] | None = None
     photons: dict[str, JsonValue] | None = None
     window_data: list[Window] = Field(default_factory=list)
+    void_windows: list[VoidWindow] = Field(default_factory=list)
+    sampler_cpu_share: float | None = Field(default=None, ge=0)
+    suspect: str | None = None
     noise: JsonValue = None
 
     @model_validator(mode="after")
