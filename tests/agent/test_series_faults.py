@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from joulebox_agent.energies import integrated_stage_energies, window_energies
+from joulebox_agent.energies import idle_power, integrated_stage_energies, window_energies
 from joulebox_agent.faults import stretch_fault
 from joulebox_agent.lag import fit_lag
 from joulebox_agent.sampler import Sample
@@ -186,3 +186,39 @@ def test_a_fast_counter_is_integrated_over_each_stage_and_scaled_to_the_battery(
     assert found["photon_map"] == pytest.approx(1.5 * 12.0 * 18, rel=0.01)
     slow = fast_counter(lambda t: 24.0 if t % 1.0 < 0.5 else 14.0, 20.0, poll_s=0.25)
     assert integrated_stage_energies(slow, stages, 1.0, [(1.0, 19.0)]) is None
+
+
+@pytest.mark.parametrize("ends_s", [[], [15.0, 31.0, 44.0, 61.0, 75.0]])
+def test_pieces_of_a_window_hold_all_of_it_and_end_with_images(ends_s: list[float]) -> None:
+    window = Window(0.0, 75.0, images=5, image_ends_s=ends_s)
+    for count in (2, 3, 5):
+        pieces = window.pieces(count)
+        assert pieces[0][0] == 0.0
+        assert pieces[-1][1] == 75.0
+        assert [end_s for _, end_s, _ in pieces[:-1]] == [start_s for start_s, _, _ in pieces[1:]]
+        assert sum(images for _, _, images in pieces) == pytest.approx(5.0)
+        assert all(images > 0 for _, _, images in pieces)
+        assert not ends_s or {end_s for _, end_s, _ in pieces} <= set(ends_s)
+
+
+def test_idle_power_leaves_out_what_the_gauge_still_shows_of_the_rendering() -> None:
+    """Idle at 8 W after rendering at 17 W, shown as the mean of 20 s: taken whole, the block would say 9.5 W."""
+    times_s = np.arange(0.1, 161.0, 4.0)
+    power_w = 8.0 + 9.0 * np.clip(1.0 - (times_s - 100.0) / 20.0, 0.0, 1.0) + 0.1 * RNG(3).standard_normal(times_s.size)
+    found = idle_power(PowerSeries(polled(times_s, power_w)), GAUGE, [(100.0, 160.0)], lag_s=20.0)
+    assert found is not None
+    assert found.value == pytest.approx(8.0, abs=0.13)  # four standard errors of ten updates
+    assert found.low <= 8.0 <= found.high
+
+
+def test_blocks_that_drift_apart_widen_idle_power() -> None:
+    times_s = np.arange(0.0, 600.0, 2.0)
+    steady = 8.0 + 0.2 * RNG(5).standard_normal(times_s.size)
+    apart = steady + np.where(times_s > 300.0, 1.0, 0.0)
+    halves = []
+    for power_w in (steady, apart):
+        found = idle_power(PowerSeries(polled(times_s, power_w)), GAUGE, [(10.0, 70.0), (530.0, 590.0)])
+        assert found is not None
+        halves.append(found.half_width)
+    assert halves[1] > 3 * halves[0]
+    assert halves[1] > 0.5  # the two blocks are 1 W apart

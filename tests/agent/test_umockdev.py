@@ -3,10 +3,13 @@
 Values are changed by putting another file in place of the old one, so that no reader sees half a value.
 """
 
+import contextlib
 import itertools
 import json
+import os
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import threading
@@ -80,14 +83,20 @@ def bed(device: Path, *words: object) -> Iterator[Bed]:
         [str(UMOCKDEV), "--device", str(device), "--", "sh", "-c", script],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
     )  # fmt: skip
-    ended = threading.Timer(TIME_LIMIT_S, process.kill)
+
+    def end() -> None:
+        """Whatever the bed holds: the agent, its sampler, its renderer."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+
+    ended = threading.Timer(TIME_LIMIT_S, end)
     ended.start()
     try:
         assert process.stdout is not None
         yield Bed(process, Path(process.stdout.readline().strip()) / "sys")
     finally:
         ended.cancel()
-        process.kill()
+        end()
         process.communicate()
 
 

@@ -19,7 +19,7 @@ FORBIDDEN = {
     "a temporary folder of one machine": re.compile(r"(?<![\w.}>])/tm" + r"p/"),
 }
 LOCK_FILES = {"uv." + "lock", "poetry.lock", "Pipfile.lock", "package-lock.json"}
-BINARY = {".exr", ".png", ".ply", ".npy", ".npz", ".zip", ".gz", ".parquet", ".ico", ".woff2", ".webp"}
+BINARY = {".bin", ".exr", ".png", ".ply", ".npy", ".npz", ".zip", ".gz", ".parquet", ".ico", ".woff2", ".webp"}
 
 
 def violations(text: str) -> list[str]:
