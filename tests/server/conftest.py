@@ -33,7 +33,7 @@ def server(tmp_path: Path, executor: ThreadPoolExecutor) -> Iterator[Server]:
 def live(tmp_path: Path, executor: ThreadPoolExecutor) -> Iterator[Server]:
     """As `server`, on a real port: for what needs several connections at once."""
     clock = Clock()
-    app = create_app(ServerSettings(data_dir=tmp_path / "data", release_pause_s=0), executor, clock)
+    app = create_app(ServerSettings(data_dir=tmp_path / "data", release_pause_s=0, retry_pause_s=0), executor, clock)
     config = uvicorn.Config(app, port=0, log_level="warning", timeout_graceful_shutdown=1)
     running = uvicorn.Server(config)
     thread = threading.Thread(target=running.run)

@@ -69,6 +69,7 @@ class Server:
 @contextmanager
 def serving(data_dir: Path, executor: Any, **settings: Any) -> Iterator[Server]:
     clock = Clock()
-    app = create_app(ServerSettings(data_dir=data_dir, **{"release_pause_s": 0, **settings}), executor, clock)
+    given = {"release_pause_s": 0, "retry_pause_s": 0, **settings}
+    app = create_app(ServerSettings(data_dir=data_dir, **given), executor, clock)
     with TestClient(app, base_url=BASE_URL, raise_server_exceptions=False) as client:
         yield Server(client, app, clock)

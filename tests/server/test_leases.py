@@ -11,10 +11,12 @@ from fake_device import FakeDevice, measure_document, picture, resolved
 from joulebox_server.schemas.sweep import SweepDefinition
 from joulebox_server.store import Store, blobs, devices, leases, planning, results, scenes
 from joulebox_server.store.database import number, rows
-from joulebox_server.store.leases import LeaseRules
+from joulebox_server.store.jobs import LeaseRules
 from server_testing import Server, serving
 
-RULES = LeaseRules(slack_s=300, release_pause_s=0, max_attempts=3)
+RULES = LeaseRules(
+    slack_s=300, release_pause_s=0, retry_pause_s=0, longest_retry_pause_s=0, max_attempts=3, suspect_after=5
+)
 PAST_ANY_LEASE_S = 10_000.0
 
 
@@ -255,7 +257,7 @@ def test_eight_threads_never_share_a_job(tmp_path: Path) -> None:
                 taken.append(lease.job_id)
                 body = measure_document(lease.model_dump(), b"", image_blob=None)
                 document = results.MeasureDocument.model_validate(body)
-                store.write(results.accept, store.blob_dir, lease.attempt_id, device_id, document, 3, now_us)
+                store.write(results.accept, store.blob_dir, lease.attempt_id, device_id, document, RULES, now_us)
         return taken
 
     with ThreadPoolExecutor(8) as pool:

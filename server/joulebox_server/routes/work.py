@@ -6,6 +6,9 @@ import random
 from fastapi import APIRouter, Response
 from fastapi.responses import JSONResponse
 
+from joulebox_server.problems import told
+from joulebox_server.routes.paging import Id
+from joulebox_server.schemas.answers import Accepted
 from joulebox_server.schemas.device import Lease, LeaseRequest, Leases, ReleaseRequest
 from joulebox_server.schemas.measure import MeasureDocument
 from joulebox_server.services import DeviceId, Services, ServicesOf
@@ -15,10 +18,15 @@ LOOK_AGAIN_S = 2.0
 """A waiting device looks this often for jobs that return by the clock alone."""
 RETRY_AFTER_S = (5, 10)
 
+NOTHING_TO_DO = {
+    "description": "Nothing to do.",
+    "headers": {"Retry-After": {"schema": {"type": "integer"}, "description": "Seconds to wait before asking again."}},
+}
+
 router = APIRouter(tags=["work"])
 
 
-@router.post("/leases", response_model=Leases, responses={204: {"description": "nothing to do"}})
+@router.post("/leases", response_model=Leases, responses={204: NOTHING_TO_DO, **told(413, 507)})
 async def lease(services: ServicesOf, device_id: DeviceId, request: LeaseRequest) -> Response | Leases:
     """Jobs for the device that asks; waits up to `wait_s` for one, else 204 with Retry-After."""
     loop = asyncio.get_running_loop()
@@ -49,15 +57,20 @@ async def _lease_now(services: Services, device_id: str, request: LeaseRequest) 
     )
 
 
-@router.post("/attempts/{attempt_id}/release", status_code=204)
-def release(services: ServicesOf, device_id: DeviceId, attempt_id: str, request: ReleaseRequest) -> Response:
+@router.post("/attempts/{attempt_id}/release", status_code=204, responses=told(404, 409, 413, 507))
+def release(services: ServicesOf, device_id: DeviceId, attempt_id: Id, request: ReleaseRequest) -> Response:
     """Give a job back: unmeasured (spends no retry), or `failed`."""
     services.store.write(leases.release, attempt_id, device_id, request, services.lease_rules, services.clock())
     return Response(status_code=204)
 
 
-@router.put("/attempts/{attempt_id}/result", status_code=201)
-def put_result(services: ServicesOf, device_id: DeviceId, attempt_id: str, document: MeasureDocument) -> Response:
+@router.put(
+    "/attempts/{attempt_id}/result",
+    status_code=201,
+    response_model=Accepted,
+    responses={200: {"model": Accepted, "description": "The same once more."}, **told(404, 409, 413, 507)},
+)
+def put_result(services: ServicesOf, device_id: DeviceId, attempt_id: Id, document: MeasureDocument) -> Response:
     """The measure document of an attempt: 201 the first time, 200 for the same again, 409 for another."""
     accepted, new = services.store.write(
         results.accept,
@@ -65,7 +78,7 @@ def put_result(services: ServicesOf, device_id: DeviceId, attempt_id: str, docum
         attempt_id,
         device_id,
         document,
-        services.settings.max_attempts,
+        services.lease_rules,
         services.clock(),
     )
     return JSONResponse({"accepted": accepted}, 201 if new else 200)

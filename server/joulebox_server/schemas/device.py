@@ -16,6 +16,8 @@ class EnrollmentRequest(Document):
 class EnrollmentDocument(Document):
     code: str
     expires_at: str
+    join: str
+    """One line for the device's shell: install, enrol, look at the energy sources."""
 
 
 class DeviceRequest(Document):

@@ -11,9 +11,10 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from sqlite_utils import Database
 
-from joulebox_server.errors import ConflictError, InvalidError, StorageFullError, UnavailableError
+from joulebox_server.errors import ConflictError, InvalidError, PreconditionError, StorageFullError, UnavailableError
 from joulebox_server.store.migrations import migrations
 
+DATABASE = "joulebox.db"
 BUSY_TIMEOUT_MS = 5000
 LARGEST_GROUP = 64
 """Most writes that share one commit, so that the first of them does not wait for long."""
@@ -36,6 +37,19 @@ def row(db: Database, sql: str, parameters: Iterable[Any] = ()) -> Row | None:
 def number(db: Database, sql: str, parameters: Iterable[Any] = ()) -> int:
     """The one integer that a query answers; 0 for NULL."""
     return int(db.execute(sql, tuple(parameters)).fetchone()[0] or 0)
+
+
+def etag(version: int) -> str:
+    """The ETag of something that an operator can change, after so many changes."""
+    return f'"v{version}"'
+
+
+def check_match(wanted: str | None, version: int, what: str) -> None:
+    """Raise PreconditionError unless the If-Match header `wanted` (None: not sent) names this version."""
+    if wanted is not None and wanted.strip() != "*" and etag(version) not in [tag.strip() for tag in wanted.split(",")]:
+        raise PreconditionError(
+            f"{what} was changed meanwhile: its ETag is {etag(version)} and not {wanted}; read it again"
+        )
 
 
 class _Write:
@@ -73,7 +87,7 @@ class Store:
         self.incoming_dir = data_dir / "incoming"
         for folder in (self.blob_dir, self.incoming_dir):
             folder.mkdir(parents=True, exist_ok=True)
-        self.path = data_dir / "joulebox.db"
+        self.path = data_dir / DATABASE
         self.last_event_id = 0
         self._listeners: list[Callable[[], None]] = []
         self._queue: queue.SimpleQueue[_Write | None] = queue.SimpleQueue()
@@ -134,12 +148,15 @@ class Store:
     def _prepared(self) -> Database:
         db = self._connect()
         db.conn.execute("PRAGMA journal_mode=WAL")
+        # Off while tables are rebuilt: dropping the old one would take along every row that refers to it.
+        db.conn.execute("PRAGMA foreign_keys=OFF")
         # FULL: an agent deletes its spooled result on our word, so the word must survive a power cut.
         db.conn.execute("PRAGMA synchronous=FULL")
         # Immediate, so that two processes opening a new folder at once do not both make the tables.
         db.conn.execute("BEGIN IMMEDIATE")
         migrations.apply(db)
         db.conn.execute("COMMIT")
+        db.conn.execute("PRAGMA foreign_keys=ON")
         self.last_event_id = _newest_event(db)
         return db
 

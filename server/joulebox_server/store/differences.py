@@ -63,7 +63,7 @@ def _waiting(db: Database, job: Row, same: bool) -> list[Row]:
     return rows(
         db,
         """SELECT result.id, result.image_sha256 FROM job JOIN result ON result.job_id = job.id
-        WHERE job.target_id = ? AND job.sweep_scene_id = ? AND job.purpose != 'reference'
+        WHERE job.target_id = ? AND job.sweep_scene_id = ? AND job.purpose NOT IN ('reference', 'control')
         AND (job.repeat = ? OR NOT ?) AND result.void IS NULL
         AND NOT EXISTS (SELECT 1 FROM comparison WHERE comparison.result_id = result.id) ORDER BY result.id""",
         (job["target_id"], job["sweep_scene_id"], job["repeat"], same),
