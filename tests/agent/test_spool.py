@@ -211,3 +211,28 @@ def test_a_revoked_token_keeps_everything(spool: Spool, fleet: FakeFleet, said: 
     with pytest.raises(TokenRejectedError, match="unknown token"):
         delivery.send_all()
     assert len(spool.waiting()) == 1
+
+
+def test_a_damaged_blob_does_not_spoil_the_next_result(spool: Spool, delivery: Delivery, fleet: FakeFleet) -> None:
+    """Two results may name one picture; the second brings it whole."""
+    delivery.keep(entry(1), BLOBS)
+    victim = spool.folder / "blobs" / next(iter(BLOBS))
+    victim.write_bytes(b"damaged")
+    delivery.send_all()
+    assert fleet.results == {}
+    delivery.keep(entry(2), BLOBS)
+    delivery.send_all()
+    assert fleet.results.keys() == {"attempt-2"}
+
+
+def test_bytes_hurt_on_the_way_are_sent_again(spool: Spool, delivery: Delivery, fleet: FakeFleet) -> None:
+    """The spool's copy is good: the server's complaint is about the way, and the entry waits."""
+    delivery.keep(entry(1), BLOBS)
+    wrong = {"title": "wrong digest", "code": "wrong_digest"}
+    fleet.answers["PUT /blobs/"] = (422, wrong)
+    with pytest.raises(ServerUnreachableError):
+        delivery.send_all()
+    assert len(spool.waiting()) == 1
+    del fleet.answers["PUT /blobs/"]
+    delivery.send_all()
+    assert fleet.results.keys() == {"attempt-1"}

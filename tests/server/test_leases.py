@@ -170,6 +170,21 @@ def test_restarted_device_gives_back_at_once(server: Server) -> None:
     assert device.finish(before).json() == {"accepted": "late"}
 
 
+def test_a_lease_whose_answer_was_lost(server: Server) -> None:
+    """A device that says what it holds gets back at once what it never heard of; one that does not say, does not."""
+    server.add_sweep(axes={}, repeats=1)
+    device = server.device()
+    lost = device.lease()[0]
+    kept = device.lease(holding=[lost["attempt_id"]])[0]
+    assert kept["job_id"] != lost["job_id"]
+    assert lost["job_id"] not in [lease["job_id"] for lease in device.lease(max_jobs=5)]
+    again = device.lease(holding=[kept["attempt_id"]])[0]
+    assert again["job_id"] == lost["job_id"]
+    assert "never got the lease" in state_of(server, lost["job_id"])["reason"]
+    assert device.finish(kept).json() == {"accepted": "ok"}
+    assert device.finish(lost).json() == {"accepted": "late"}
+
+
 def test_voided_measurement_is_measured_again(server: Server) -> None:
     server.add_sweep(axes={}, repeats=1)
     device = server.device()

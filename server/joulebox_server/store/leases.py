@@ -4,13 +4,14 @@ Every question about a lease is asked inside the write transaction that acts on 
 """
 
 import json
+from collections.abc import Collection
 from typing import Any
 
 from sqlite_utils import Database
 
 from joulebox_server.errors import ForbiddenError, NotFoundError
 from joulebox_server.schemas.device import Lease, LeasedMeasure, LeasedScene, ReleaseRequest
-from joulebox_server.schemas.sweep import SweepDefinition
+from joulebox_server.schemas.sweep import SweepDefinition, definition_of
 from joulebox_server.store import devices, events, jobs, life
 from joulebox_server.store.database import Row, row, rows
 from joulebox_server.store.ids import MICRO, canonical, new_id, timestamp
@@ -31,20 +32,29 @@ def lease(
     max_jobs: int,
     rules: LeaseRules,
     now_us: int,
+    holding: Collection[str] | None = None,
 ) -> list[Lease]:
     """Up to `max_jobs` jobs for a device, the oldest sweep's first; none when nothing is to be done.
 
-    Leases that ended are taken back first, and those of an earlier boot of this device at once: nobody
-    works on them any more.
+    Leases that ended are taken back first, and those of this device that nobody works on at once: of an earlier
+    boot, or not among those that it is `holding` (the answer with the lease was lost, or the agent restarted).
     """
     reap(db, rules, now_us)
-    which = "attempt.device_id = ? AND attempt.boot_id != ?"
-    _take_back(db, rules, Event.RESTART, which, (device_id, boot_id), now_us)
+    _take_back(db, rules, Event.RESTART, *_abandoned(device_id, boot_id, holding), now_us)
     db.execute("UPDATE device SET last_seen_at_us = ?, boot_id = ? WHERE id = ?", (now_us, boot_id, device_id))
     return [
         _grant(db, jobs.find(db, job_id), device_id, boot_id, conditions, rules, now_us)
         for job_id in _next_jobs(db, device_id, max_jobs, now_us)
     ]
+
+
+def _abandoned(device_id: str, boot_id: str, holding: Collection[str] | None) -> tuple[str, tuple[str, ...]]:
+    """Condition and parameters for the attempts of a device that nobody works on."""
+    which, parameters = "attempt.device_id = ? AND (attempt.boot_id != ?", (device_id, boot_id)
+    if holding is not None:
+        which += f" OR attempt.id NOT IN ({', '.join('?' * len(holding))})"
+        parameters += tuple(holding)
+    return f"{which})", parameters
 
 
 def work_waits(db: Database, device_id: str, now_us: int) -> bool:
@@ -89,7 +99,7 @@ def find_attempt(db: Database, attempt_id: str, device_id: str) -> Row:
 
 LOST = {
     Event.EXPIRY: "fell silent until the lease ended",
-    Event.RESTART: "restarted",
+    Event.RESTART: "restarted, or never got the lease",
     Event.REVOCATION: "was shut out",
 }
 
@@ -147,7 +157,7 @@ def _grant(
     rules: LeaseRules,
     now_us: int,
 ) -> Lease:
-    measure = _measure(SweepDefinition.model_validate_json(job["definition"]), job)
+    measure = _measure(definition_of(job["definition"]), job)
     expires_at_us = now_us + round((measure.max_seconds + measure.window_s + rules.slack_s) * MICRO)
     attempt_id, step = new_id(), life.step(Event.LEASE, job["state"], None)
     db.execute("UPDATE target SET device_id = ? WHERE id = ? AND device_id IS NULL", (device_id, job["target_id"]))

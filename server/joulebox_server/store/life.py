@@ -34,7 +34,7 @@ class Event(StrEnum):
     EXPIRY = "expiry"
     """The lease ended without a word."""
     RESTART = "restart"
-    """The device asks for work under another boot id: what it had is lost."""
+    """The device asks for work under another boot id, or does not know of this attempt: it is lost."""
     REVOCATION = "revocation"
     """An operator shut the device out."""
     RESULT = "result"
