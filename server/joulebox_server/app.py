@@ -69,7 +69,8 @@ def create_app(
     app.add_middleware(Envelope, registry=registry, secure=settings.secure)
     add_problem_handlers(app)
     versioned = APIRouter(prefix="/v1", responses=told(401, 403, 422, 503))
-    for part in (devices, scenes, sweeps, work, blobs, results, findings, pictures, events):
+    # Routes are tried in this order: first those that devices ask for all the time.
+    for part in (work, blobs, events, devices, scenes, sweeps, results, findings, pictures):
         versioned.include_router(part.router)
     app.include_router(versioned)
     for unversioned in (health, wheels):
@@ -110,6 +111,7 @@ async def _keep_house(services: Services) -> None:
         try:
             await services.write(reap, services.lease_rules, services.clock())
             await services.write(stored_events.trim)
+            await asyncio.to_thread(services.store.checkpoint)
         except Exception:
             log.exception("housekeeping failed; trying again")
         await asyncio.sleep(services.settings.reap_every_s)

@@ -1,5 +1,6 @@
 """The sweep document: what to render, on what, and how to judge it."""
 
+from functools import lru_cache
 from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
@@ -181,3 +182,9 @@ class SweepDefinition(Document):
         """The seed that the repeats count from."""
         seed = self.settings.get("seed", 0)
         return seed if isinstance(seed, int) else 0
+
+
+@lru_cache(maxsize=256)
+def definition_of(text: str) -> SweepDefinition:
+    """The definition in JSON text that was checked before; the same text is read once."""
+    return SweepDefinition.model_validate_json(text)

@@ -12,7 +12,7 @@ from typing import Any
 from sqlite_utils import Database
 
 from joulebox_server.schemas.measure import MeasureDocument
-from joulebox_server.schemas.sweep import SweepDefinition
+from joulebox_server.schemas.sweep import definition_of
 from joulebox_server.store import differences, events
 from joulebox_server.store.database import Row, row, rows
 from joulebox_server.store.ids import canonical, new_id, sha256_text
@@ -54,7 +54,7 @@ def check(db: Database, job: Row, result_id: str) -> None:
             _add(db, result, own, same_class=True, difference_id=None)
             _tell(db, result["device_id"], own["device_id"])
         return
-    exposure = SweepDefinition.model_validate_json(job["definition"]).picture_exposure
+    exposure = definition_of(job["definition"]).picture_exposure
     for first in firsts:
         images = (first["image_sha256"], result["image_sha256"])
         if first["pixel_sha256"] != result["pixel_sha256"] and None not in images:

@@ -16,6 +16,8 @@ from joulebox_server.store.migrations import migrations
 
 DATABASE = "joulebox.db"
 BUSY_TIMEOUT_MS = 5000
+LONGEST_LOG_PAGES = 20_000
+"""At which the writer itself moves its log into the database (80 MB); `checkpoint` does it long before."""
 LARGEST_GROUP = 64
 """Most writes that share one commit, so that the first of them does not wait for long."""
 
@@ -26,12 +28,20 @@ T = TypeVar("T")
 
 def rows(db: Database, sql: str, parameters: Iterable[Any] = ()) -> list[Row]:
     """All rows of a query as dictionaries."""
-    return list(db.query(sql, tuple(parameters)))
+    cursor = db.conn.execute(sql, tuple(parameters))
+    names = [column[0] for column in cursor.description]
+    return [dict(zip(names, values, strict=True)) for values in cursor]
 
 
 def row(db: Database, sql: str, parameters: Iterable[Any] = ()) -> Row | None:
     """The first row of a query, or None."""
     return next(iter(rows(db, sql, parameters)), None)
+
+
+def insert(db: Database, table: str, values: Row) -> None:
+    """Add one row; `values` names its columns, in the code's own words."""
+    places = ", ".join("?" * len(values))
+    db.conn.execute(f"INSERT INTO {table} ({', '.join(values)}) VALUES ({places})", tuple(values.values()))
 
 
 def number(db: Database, sql: str, parameters: Iterable[Any] = ()) -> int:
@@ -127,6 +137,26 @@ class Store:
             finally:
                 db.conn.execute("ROLLBACK")
 
+    def look(self, function: Callable[Concatenate[Database, P], T], *args: P.args, **kwargs: P.kwargs) -> T:
+        """As `read`, for a function that runs one query: a third of the statements."""
+        with self._reader() as db:
+            try:
+                return function(db, *args, **kwargs)
+            except sqlite3.Error as error:
+                raise _named(error) from error
+
+    def checkpoint(self) -> None:
+        """Move what was committed from the log into the database, beside the writer and without holding it up.
+
+        A writer that did it on its own would make whoever waits for its commit wait for two more disk writes.
+        """
+        with self._reader() as db:
+            db.conn.execute("PRAGMA query_only=OFF")
+            try:
+                db.conn.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
+            finally:
+                db.conn.execute("PRAGMA query_only=ON")
+
     def on_event(self, listener: Callable[[], None]) -> None:
         """Call `listener()` on the writer thread after every commit that added an event."""
         self._listeners.append(listener)
@@ -148,6 +178,7 @@ class Store:
     def _prepared(self) -> Database:
         db = self._connect()
         db.conn.execute("PRAGMA journal_mode=WAL")
+        db.conn.execute(f"PRAGMA wal_autocheckpoint={LONGEST_LOG_PAGES}")
         # Off while tables are rebuilt: dropping the old one would take along every row that refers to it.
         db.conn.execute("PRAGMA foreign_keys=OFF")
         # FULL: an agent deletes its spooled result on our word, so the word must survive a power cut.

@@ -9,7 +9,7 @@ from joulebox_server.errors import ConflictError, FieldError, InvalidError
 from joulebox_server.schemas.base import Interval
 from joulebox_server.schemas.measure import MeasureDocument
 from joulebox_server.store import agreement, blobs, differences, jobs, leases
-from joulebox_server.store.database import Row, row, rows
+from joulebox_server.store.database import Row, insert, row, rows
 from joulebox_server.store.ids import canonical, micro, new_id, sha256_text, timestamp, unit
 from joulebox_server.store.jobs import LeaseRules
 from joulebox_server.store.life import Event
@@ -87,7 +87,9 @@ def _insert(
 ) -> str:
     result_id = new_id()
     time_s, energy_j = document.time_s_per_image, document.energy_j_per_image.gross
-    db.table("result").insert(
+    insert(
+        db,
+        "result",
         {
             "id": result_id,
             "attempt_id": attempt["id"],
@@ -115,24 +117,20 @@ def _insert(
             "received_at_us": now_us,
             "picture_key": agreement.picture_key(job),
             "render_class": agreement.render_class(db, attempt["device_id"], document),
-        }
+        },
     )
     _insert_stages(db, result_id, document)
     return result_id
 
 
 def _insert_stages(db: Database, result_id: str, document: MeasureDocument) -> None:
-    db.table("stage").insert_all(
-        {
-            "result_id": result_id,
-            "name": name,
-            "time_us": micro(stage.time_s),
-            "cpu_us": micro(stage.cpu_s),
-            "rays": None if stage.rays is None else round(stage.rays),
-            "energy_uj": micro(stage.energy_j.equation_2),
-        }
-        for name, stage in document.stages.items()
-    )
+    for name, stage in document.stages.items():
+        rays = None if stage.rays is None else round(stage.rays)
+        costs = (micro(stage.time_s), micro(stage.cpu_s), rays, micro(stage.energy_j.equation_2))
+        db.execute(
+            "INSERT INTO stage (result_id, name, time_us, cpu_us, rays, energy_uj) VALUES (?, ?, ?, ?, ?, ?)",
+            (result_id, name, *costs),
+        )
 
 
 def _insert_control(db: Database, job: Row, result_id: str) -> None:
