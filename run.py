@@ -211,6 +211,12 @@ TASKS = {
     "test": Task("the quick tests (arguments after -- go to pytest: python run.py test -- -k NAME)", pytest),
     "test-long": Task("the long tests", lambda *arguments: pytest("-m", "long", *arguments)),
     "test-web": Task("the tests of the pages", lambda *arguments: pytest("tests/web", *arguments)),
+    "test-fleet": Task("the fleet's proofs: 200 rounds of random faults, any request, who may what (long)",
+                       lambda *arguments: call(program("python"), "tests/fleet/faults.py", *arguments)
+                       or pytest("tests/fleet", "-m", "long or not long", "--deselect",
+                                 "tests/fleet/test_faults.py::test_two_hundred_faults")),
+    "test-load": Task("what the server bears: 50 agents for a minute, beside a bare writer; the dashboard's queries",
+                      lambda *arguments: call(program("python"), "tests/fleet/load.py", *arguments)),
     "lint": Task("ruff", lambda *arguments: call(program("ruff"), "check", *(arguments or (".",)))),
     "types": Task("mypy --strict on our packages", types),
     "walls": Task("import-linter: who may import whom", lambda *_: call(program("lint-imports"))),
