@@ -9,6 +9,7 @@ import pytest
 if sys.platform == "win32":
     pytest.skip("processes are forked, which Windows cannot", allow_module_level=True)
 
+import crowd
 import faults
 import load
 
@@ -45,3 +46,11 @@ def test_fifty_agents_for_three_seconds(tmp_path: Path) -> None:
     found = load.load(3, 1, 100, tmp_path)
     assert (found.errors, found.leased_twice, found.lost, found.integrity) == ([], 0, 0, "ok")
     assert found.rate > 0
+
+
+def test_a_crowd_is_answered(tmp_path: Path) -> None:
+    """Every question of the dashboard, with more than one page of devices; the times are for `make test-load`."""
+    devices, sweeps = crowd.fill_crowd(tmp_path, 210, 1000)
+    with load.serving(tmp_path) as (port, _):
+        assert crowd.answers(port, sweeps[0], times=1).keys() == set(crowd.ASKED)
+    assert len(devices) == 210

@@ -2,8 +2,13 @@
 
 import json
 import logging
+import os
+import shlex
 import shutil
 import sqlite3
+import subprocess
+import sys
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +19,7 @@ from joulebox_server.routes.wheels import join_command
 from joulebox_server.store import Store, upkeep
 from joulebox_server.store.database import number
 from joulebox_server.store.results import COLUMNS
-from server_testing import Server, serving
+from server_testing import Server, listening, serving
 from test_errors import told
 
 
@@ -131,6 +136,28 @@ def test_wheels(tmp_path: Path, executor: Any) -> None:
         )
         shutil.rmtree(folder)
         assert "pip" not in server.client.post("/v1/enrollments", headers=server.operator, json={}).json()["join"]
+
+
+def test_pip_finds_the_wheels(tmp_path: Path, executor: Any) -> None:
+    """The line that a device runs, as far as it is ours: pip takes both wheels from the server, hashes checked."""
+    folder = tmp_path / "wheels"
+    folder.mkdir()
+    for name in ("joulebox_agent", "joulebox_render"):
+        with zipfile.ZipFile(folder / f"{name}-0.1.0-py3-none-any.whl", "w") as wheel:
+            inside = f"{name}-0.1.0.dist-info"
+            wheel.writestr(f"{inside}/METADATA", f"Metadata-Version: 2.1\nName: {name}\nVersion: 0.1.0\n")
+            wheel.writestr(f"{inside}/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n")
+            wheel.writestr(f"{inside}/RECORD", "")
+    with listening(tmp_path / "data", executor, wheels_dir=folder) as server:
+        line = server.client.post("/v1/enrollments", headers=server.operator, json={}).json()["join"]
+        words = shlex.split(line.split("&&")[0])
+        assert words[:4] == ["python3", "-m", "pip", "install"]
+        quiet = ["--quiet", "--disable-pip-version-check", "--no-index", "--no-deps", "--dest", str(tmp_path / "got")]
+        command = [sys.executable, "-m", "pip", "download", *quiet, *words[4:]]
+        environment = {name: value for name, value in os.environ.items() if not name.startswith("PIP_")}
+        done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert sorted(path.name for path in (tmp_path / "got").iterdir()) == sorted(path.name for path in folder.iterdir())
 
 
 def test_the_line_for_another_machine(tmp_path: Path) -> None:

@@ -124,13 +124,20 @@ def _insert(
 
 
 def _insert_stages(db: Database, result_id: str, document: MeasureDocument) -> None:
-    for name, stage in document.stages.items():
-        rays = None if stage.rays is None else round(stage.rays)
-        costs = (micro(stage.time_s), micro(stage.cpu_s), rays, micro(stage.energy_j.equation_2))
-        db.execute(
-            "INSERT INTO stage (result_id, name, time_us, cpu_us, rays, energy_uj) VALUES (?, ?, ?, ?, ?, ?)",
-            (result_id, name, *costs),
-        )
+    db.conn.executemany(
+        "INSERT INTO stage (result_id, name, time_us, cpu_us, rays, energy_uj) VALUES (?, ?, ?, ?, ?, ?)",
+        [
+            (
+                result_id,
+                name,
+                micro(stage.time_s),
+                micro(stage.cpu_s),
+                None if stage.rays is None else round(stage.rays),
+                micro(stage.energy_j.equation_2),
+            )
+            for name, stage in document.stages.items()
+        ],
+    )
 
 
 def _insert_control(db: Database, job: Row, result_id: str) -> None:
