@@ -50,11 +50,10 @@ def lease(
 
 def _abandoned(device_id: str, boot_id: str, holding: Collection[str] | None) -> tuple[str, tuple[str, ...]]:
     """Condition and parameters for the attempts of a device that nobody works on."""
-    which, parameters = "attempt.device_id = ? AND (attempt.boot_id != ?", (device_id, boot_id)
-    if holding is not None:
-        which += f" OR attempt.id NOT IN ({', '.join('?' * len(holding))})"
-        parameters += tuple(holding)
-    return f"{which})", parameters
+    if holding is None:
+        return "attempt.device_id = ? AND attempt.boot_id != ?", (device_id, boot_id)
+    others = f"attempt.id NOT IN ({', '.join('?' * len(holding))})"
+    return f"attempt.device_id = ? AND (attempt.boot_id != ? OR {others})", (device_id, boot_id, *holding)
 
 
 def work_waits(db: Database, device_id: str, now_us: int) -> bool:
