@@ -213,6 +213,12 @@ TASKS = {
     "test-energy": Task("how often energy intervals hold a known truth, into docs/energy.md (--runs N, --only WORDS)",
                         lambda *arguments: call(program("python"), "-m", "tests.energy", *arguments)),
     "test-web": Task("the tests of the pages", lambda *arguments: pytest("tests/web", *arguments)),
+    "test-fleet": Task("the fleet's proofs: 200 rounds of random faults, any request, who may what (long)",
+                       lambda *arguments: call(program("python"), "tests/fleet/faults.py", *arguments)
+                       or pytest("tests/fleet", "-m", "long or not long", "--deselect",
+                                 "tests/fleet/test_faults.py::test_two_hundred_faults")),
+    "test-load": Task("what the server bears: 50 agents for a minute, beside a bare writer; the dashboard's queries",
+                      lambda *arguments: call(program("python"), "tests/fleet/load.py", *arguments)),
     "lint": Task("ruff", lambda *arguments: call(program("ruff"), "check", *(arguments or (".",)))),
     "types": Task("mypy --strict on our packages", types),
     "walls": Task("import-linter: who may import whom", lambda *_: call(program("lint-imports"))),

@@ -3,7 +3,7 @@
 ServerUnreachableError: try again later. TokenRejectedError: stop. ServerRefusedError: never repeat this.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -98,9 +98,17 @@ class Server:
     def put_capabilities(self, device_id: str, capabilities: dict[str, Any]) -> None:
         self._call("PUT", f"/devices/{device_id}/capabilities", json=capabilities)
 
-    def lease(self, boot_id: str, conditions: dict[str, Any], wait_s: float) -> tuple[list[Lease], float]:
-        """(jobs, seconds to wait before asking again). Asked once: a lease must not be taken twice."""
-        body = {"boot_id": boot_id, "conditions": conditions, "max_jobs": 1, "wait_s": wait_s}
+    def lease(
+        self, boot_id: str, conditions: dict[str, Any], wait_s: float, holding: Sequence[str] = ()
+    ) -> tuple[list[Lease], float]:
+        """(jobs, seconds to wait before asking again). Asked once: a lease must not be taken twice.
+
+        holding  attempts that are worked on; the server takes back what else it leased to this device, whose
+                 answer was lost on the way or with an earlier process
+        """
+        body = {
+            "boot_id": boot_id, "conditions": conditions, "max_jobs": 1, "wait_s": wait_s, "holding": list(holding),
+        }  # fmt: skip
         answer = self._once("POST", "/leases", json=body, timeout=wait_s + 30)
         if answer.status_code == 204:
             return [], _retry_after_s(answer)
@@ -193,7 +201,8 @@ class Server:
                 f"The server at {self.url} rejects this device's credentials ({detail}); "
                 "check the code or enrol again with --again."
             )
-        if status == 429 or status >= 500:
+        # Bytes that were hurt on the way are sent again: the spool has checked them against their name.
+        if status == 429 or status >= 500 or code == "wrong_digest":
             raise ServerUnreachableError(f"The server at {self.url} asks to wait: {status} {detail}")
         raise ServerRefusedError(f"The server at {self.url} refused: {status} {detail}", status, code)
 

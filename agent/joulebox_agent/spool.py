@@ -52,7 +52,7 @@ class Spool:
         """Stores an entry for good. Raises SpoolFullError when the disk is; nothing half is left behind."""
         try:
             for sha256, content in blobs.items():
-                if not (self._blobs / sha256).exists():
+                if not _holds(self._blobs / sha256, content):
                     write_whole(self._blobs / sha256, content)
             write_whole(self.folder / f"{entry.attempt_id}.json", entry.model_dump_json().encode())
         except OSError as error:
@@ -109,6 +109,14 @@ class Spool:
     def room(self) -> bool:
         """Whether a new result will likely fit."""
         return shutil.disk_usage(self.folder).free >= ROOM_WANTED_BYTES
+
+
+def _holds(path: Path, content: bytes) -> bool:
+    """Whether a file is there with these very bytes: one that was damaged must not spoil the next result too."""
+    try:
+        return path.read_bytes() == content
+    except OSError:
+        return False
 
 
 def write_whole(path: Path, content: bytes) -> None:

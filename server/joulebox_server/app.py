@@ -11,11 +11,25 @@ from prometheus_client import CollectorRegistry
 
 from joulebox_server import __version__
 from joulebox_server.comparing import Comparer, stop
+from joulebox_server.documentation import describe, mount_documentation
+from joulebox_server.envelope import Envelope
 from joulebox_server.limits import BodyLimit
-from joulebox_server.metrics import RequestCounter, StoreCollector
+from joulebox_server.metrics import StoreCollector
 from joulebox_server.pages import mount_pages
-from joulebox_server.problems import add_problem_handlers
-from joulebox_server.routes import blobs, devices, events, findings, health, pictures, scenes, sweeps, work
+from joulebox_server.problems import add_problem_handlers, told
+from joulebox_server.routes import (
+    blobs,
+    devices,
+    events,
+    findings,
+    health,
+    pictures,
+    results,
+    scenes,
+    sweeps,
+    wheels,
+    work,
+)
 from joulebox_server.services import Services
 from joulebox_server.settings import ServerSettings
 from joulebox_server.store import Store
@@ -48,18 +62,22 @@ def create_app(
         title="joulebox",
         version=__version__,
         lifespan=lifespan,
-        docs_url=None,  # its pages would load scripts from elsewhere
+        docs_url=None,  # its pages would load scripts from elsewhere; `documentation` serves its own
         redoc_url=None,
     )
     app.add_middleware(BodyLimit, max_bytes=settings.max_body_bytes)
-    app.add_middleware(RequestCounter, registry=registry)
+    app.add_middleware(Envelope, registry=registry, secure=settings.secure)
     add_problem_handlers(app)
-    versioned = APIRouter(prefix="/v1")
-    for part in (devices, scenes, sweeps, work, blobs, findings, pictures, events):
+    versioned = APIRouter(prefix="/v1", responses=told(401, 403, 422, 503))
+    # Routes are tried in this order: first those that devices ask for all the time.
+    for part in (work, blobs, events, devices, scenes, sweeps, results, findings, pictures):
         versioned.include_router(part.router)
     app.include_router(versioned)
-    app.include_router(health.router)
+    for unversioned in (health, wheels):
+        app.include_router(unversioned.router)
+    mount_documentation(app)
     mount_pages(app)
+    describe(app)
     return app
 
 
@@ -93,6 +111,7 @@ async def _keep_house(services: Services) -> None:
         try:
             await services.write(reap, services.lease_rules, services.clock())
             await services.write(stored_events.trim)
+            await asyncio.to_thread(services.store.checkpoint)
         except Exception:
             log.exception("housekeeping failed; trying again")
         await asyncio.sleep(services.settings.reap_every_s)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from joulebox_server.errors import InvalidError, ServerError
-from joulebox_server.store import Store, blobs, differences
+from joulebox_server.store import Store, agreement, blobs, differences
 from joulebox_server.store.database import Row
 from joulebox_server.waiting import Bell
 
@@ -176,7 +176,7 @@ class Comparer:
             incoming.write(comparison.delta_png)
             sha256 = incoming.finish()
             self._store.write(blobs.adopt, self._store.blob_dir, incoming, sha256)
-        self._store.write(differences.complete, key, comparison.outcome, sha256)
+        self._store.write(agreement.complete, key, comparison.outcome, sha256)
 
 
 async def stop(task: "asyncio.Task[None]") -> None:

@@ -44,6 +44,18 @@ class ConflictError(ServerError):
     """The request contradicts what is stored."""
 
 
+class PreconditionError(ServerError):
+    """The If-Match header names a state that is no more."""
+
+
+class TooManyError(ServerError):
+    """Asked more often than this server answers; `retry_after_s` says when to ask again."""
+
+    def __init__(self, message: str, retry_after_s: int) -> None:
+        super().__init__(message)
+        self.retry_after_s = retry_after_s
+
+
 class TooLargeError(ServerError):
     """More bytes, jobs or files than this server accepts."""
 

@@ -1,7 +1,14 @@
-"""The longest request body."""
+"""Limits on what clients may send: how long a body, and how many wrong guesses."""
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable
 
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from joulebox_server.errors import TooManyError
 
 STREAMED = ("/v1/blobs/", "/v1/scenes")
 """Bodies that are written to the disk as they come; `max_blob_bytes` holds for them."""
@@ -33,3 +40,37 @@ class BodyLimit:
             return message
 
         await self._app(scope, counted, send)
+
+
+class FailureLimit:
+    """At most `most` failures in any `span_s` seconds from one address, and ten times that from all together.
+
+    Only failures count: a shelf of devices behind one address may enrol as fast as it likes. Belongs to one
+    event loop. `clock` counts seconds.
+    """
+
+    EVERYBODY = "*"
+
+    def __init__(self, most: int = 10, span_s: float = 60.0, clock: Callable[[], float] = time.monotonic) -> None:
+        self._most, self._span_s, self._clock = most, span_s, clock
+        self._failures: dict[str, deque[float]] = {}
+
+    def check(self, address: str) -> None:
+        """Raise TooManyError while the address has used up its failures."""
+        now_s = self._clock()
+        for who, most in ((address, self._most), (self.EVERYBODY, 10 * self._most)):
+            seen = self._recent(who, now_s)
+            if len(seen) >= most:
+                wait_s = math.ceil(seen[-most] + self._span_s - now_s)
+                raise TooManyError(f"too many wrong codes; try again in {wait_s} s", max(1, wait_s))
+
+    def count(self, address: str) -> None:
+        """Note a failure."""
+        now_s = self._clock()
+        for who in (address, self.EVERYBODY):
+            self._failures.setdefault(who, deque(maxlen=10 * self._most)).append(now_s)
+        for who in [who for who, seen in self._failures.items() if seen[-1] <= now_s - self._span_s]:
+            del self._failures[who]
+
+    def _recent(self, who: str, now_s: float) -> list[float]:
+        return [at_s for at_s in self._failures.get(who, ()) if at_s > now_s - self._span_s]

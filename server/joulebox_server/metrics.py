@@ -1,17 +1,14 @@
-"""Numbers for Prometheus: counted on a scrape from the store, and requests as they pass."""
+"""Numbers for Prometheus, counted on a scrape from the store; `envelope` counts requests as they pass."""
 
-import time
 from collections.abc import Iterator
 
-from prometheus_client import CollectorRegistry, Counter, Histogram
 from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 from sqlite_utils import Database
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from joulebox_server.store import Store, blobs, differences
 from joulebox_server.store.database import Row, number, rows
-from joulebox_server.store.sweeps import JOB_STATES
+from joulebox_server.store.life import JOB_STATES
 
 
 class StoreCollector(Collector):
@@ -46,27 +43,3 @@ def _counted(db: Database) -> tuple[list[Row], dict[str, tuple[str, int]]]:
         "blob_bytes": ("Bytes of all blobs.", blobs.total_bytes(db)),
         "pending_differences": ("Differences to be computed.", differences.pending_count(db)),
     }
-
-
-class RequestCounter:
-    """ASGI middleware: counts requests by method and status, and how long they took."""
-
-    def __init__(self, app: ASGIApp, registry: CollectorRegistry) -> None:
-        self._app = app
-        self._requests = Counter("joulebox_requests", "Requests answered.", ["method", "status"], registry=registry)
-        self._seconds = Histogram("joulebox_request_seconds", "Time to the first byte of an answer.", registry=registry)
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass on, and look at the start of the response."""
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
-        started_s = time.perf_counter()
-
-        async def counted(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                self._requests.labels(scope["method"], str(message["status"])).inc()
-                self._seconds.observe(time.perf_counter() - started_s)
-            await send(message)
-
-        await self._app(scope, receive, counted)

@@ -19,9 +19,11 @@ from joulebox_server.errors import (
     ForbiddenError,
     InvalidError,
     NotFoundError,
+    PreconditionError,
     ServerError,
     StorageFullError,
     TooLargeError,
+    TooManyError,
     UnauthenticatedError,
     UnavailableError,
 )
@@ -38,12 +40,15 @@ KINDS: dict[type[Exception], tuple[int, str, str]] = {
     ForbiddenError: (403, "forbidden", "The token may not do this"),
     NotFoundError: (404, "not_found", "There is no such thing"),
     ConflictError: (409, "conflict", "The request contradicts what is stored"),
+    PreconditionError: (412, "precondition_failed", "It was changed meanwhile"),
+    TooManyError: (429, "too_many", "Asked too often"),
     TooLargeError: (413, "too_large", "More than this server accepts"),
     StorageFullError: (507, "storage_full", "The server's disk is full"),
     UnavailableError: (503, "unavailable", "The server cannot do this now"),
     ServerError: (500, "failed", "The server failed"),
 }
 HTTP_CODES = {404: "not_found", 405: "method_not_allowed", 413: "too_large", 416: "range_not_satisfiable"}
+PROBLEM_TYPE = "application/problem+json"
 RETRY_AFTER_S = 5
 LARGEST_ECHO = 60
 
@@ -65,9 +70,9 @@ def problem(
     headers = {"Cache-Control": "no-store", "X-Request-Id": request_id}
     if status == 401:
         headers["WWW-Authenticate"] = "Bearer"
-    if status in (429, 503, 507):
+    if status in (503, 507):
         headers["Retry-After"] = str(RETRY_AFTER_S)
-    return JSONResponse(body, status, headers, media_type="application/problem+json")
+    return JSONResponse(body, status, headers, media_type=PROBLEM_TYPE)
 
 
 def request_id_of(request: Request) -> str:
@@ -77,6 +82,12 @@ def request_id_of(request: Request) -> str:
     return str(request.state.request_id)
 
 
+def told(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """These errors, as a route's `responses` state them in the OpenAPI document."""
+    content = {PROBLEM_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}}
+    return {status: {"description": HTTPStatus(status).phrase, "content": content} for status in statuses}
+
+
 def add_problem_handlers(app: FastAPI) -> None:
     """Map every exception that can leave a handler."""
 
@@ -84,7 +95,10 @@ def add_problem_handlers(app: FastAPI) -> None:
     async def expected(request: Request, error: Exception) -> JSONResponse:
         status, code, title = next(told for kind, told in KINDS.items() if isinstance(error, kind))
         errors = error.errors if isinstance(error, InvalidError) else ()
-        return problem(request, status, code, title, str(error), errors)
+        response = problem(request, status, code, title, str(error), errors)
+        if isinstance(error, TooManyError):
+            response.headers["Retry-After"] = str(error.retry_after_s)
+        return response
 
     @app.exception_handler(RequestValidationError)
     @app.exception_handler(ValidationError)
@@ -120,7 +134,8 @@ def field_errors(found: Sequence[Any]) -> list[FieldError]:
 def _path(location: Sequence[str | int]) -> str:
     if any(isinstance(part, int) for part in location[1:2]) and location[0] == "body":
         return f"character {location[1]} of the body"  # of text that is no JSON at all
-    inside = [part for part in location if part not in ("body", "query", "path", "header")]
+    # A part in brackets is the tag of a choice, which nobody wrote.
+    inside = [part for part in location if part not in ("body", "query", "path", "header") and str(part)[:1] != "("]
     text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in inside)
     return text.removeprefix(".") or "the body"
 

@@ -1,19 +1,21 @@
 """What handlers work with, kept on the app and nowhere else; and who is asking."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from typing import Annotated, Concatenate, ParamSpec, TypeVar
 
 from fastapi import Depends, Request
+from fastapi.security import HTTPBearer
 from prometheus_client import CollectorRegistry
 from sqlite_utils import Database
 
 from joulebox_server.comparing import Comparer
 from joulebox_server.errors import ForbiddenError, UnauthenticatedError
+from joulebox_server.limits import FailureLimit
 from joulebox_server.settings import ServerSettings, is_loopback
 from joulebox_server.store import Store, tokens
-from joulebox_server.store.leases import LeaseRules
+from joulebox_server.store.jobs import LeaseRules
 from joulebox_server.store.tokens import Principal
 from joulebox_server.waiting import Bell
 
@@ -32,11 +34,20 @@ class Services:
     clock: Callable[[], int]
     """Microseconds since 1970; leases are judged by it."""
     registry: CollectorRegistry = field(default_factory=CollectorRegistry)
+    enrolling: FailureLimit = field(default_factory=FailureLimit)
 
     @property
     def lease_rules(self) -> LeaseRules:
         """The settings that leases depend on."""
-        return LeaseRules(self.settings.lease_slack_s, self.settings.release_pause_s, self.settings.max_attempts)
+        settings = self.settings
+        return LeaseRules(
+            slack_s=settings.lease_slack_s,
+            release_pause_s=settings.release_pause_s,
+            retry_pause_s=settings.retry_pause_s,
+            longest_retry_pause_s=settings.longest_retry_pause_s,
+            max_attempts=settings.max_attempts,
+            suspect_after=settings.suspect_after,
+        )
 
     async def write(self, function: Callable[Concatenate[Database, P], T], *args: P.args, **kwargs: P.kwargs) -> T:
         """`store.write` without holding up the event loop."""
@@ -47,18 +58,27 @@ class Services:
         return await asyncio.to_thread(lambda: self.store.read(function, *args, **kwargs))
 
 
-def services_of(request: Request) -> Services:
+async def services_of(request: Request) -> Services:
     """The services of the app that got this request."""
     services: Services = request.app.state.services
     return services
 
 
-def principal_of(request: Request) -> Principal:
+bearer = HTTPBearer(auto_error=False, description="A token of `joulebox token create`, or a device's own.")
+
+
+async def principal_of(request: Request, _: Annotated[object, Depends(bearer)]) -> Principal:
     """Who asks. Raises UnauthenticatedError unless there is a good token, or reads are free (loopback)."""
-    services = services_of(request)
+    found = _principal(request, await services_of(request))
+    request.state.role, request.state.device_id = found.role, found.device_id
+    return found
+
+
+def _principal(request: Request, services: Services) -> Principal:
     scheme, _, token = request.headers.get("authorization", "").partition(" ")
     if scheme.lower() == "bearer" and token.strip():
-        return services.store.read(tokens.principal, token.strip())
+        # Not in a thread: a look into an index is quicker than the way there, and every request makes it.
+        return services.store.look(tokens.principal, token.strip())
     if scheme:
         raise UnauthenticatedError("the Authorization header must read `Bearer TOKEN`")
     settings = services.settings
@@ -69,10 +89,10 @@ def principal_of(request: Request) -> Principal:
     raise UnauthenticatedError("this needs a token: send `Authorization: Bearer TOKEN`")
 
 
-def require(*roles: tokens.Role) -> Callable[[Principal], Principal]:
+def require(*roles: tokens.Role) -> Callable[[Principal], Awaitable[Principal]]:
     """A dependency that lets only these roles pass; admin may do all that people may do."""
 
-    def check(principal: Annotated[Principal, Depends(principal_of)]) -> Principal:
+    async def check(principal: Annotated[Principal, Depends(principal_of)]) -> Principal:
         if principal.role in roles or (principal.role == "admin" and roles != ("device",)):
             return principal
         raise ForbiddenError(f"a token of the role {principal.role} may not do this; {' or '.join(roles)} may")
@@ -80,7 +100,7 @@ def require(*roles: tokens.Role) -> Callable[[Principal], Principal]:
     return check
 
 
-def device_of(principal: Annotated[Principal, Depends(require("device"))]) -> str:
+async def device_of(principal: Annotated[Principal, Depends(require("device"))]) -> str:
     """Id of the device that asks."""
     if principal.device_id is None:
         raise ForbiddenError("this token belongs to no device")

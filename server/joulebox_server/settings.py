@@ -20,14 +20,23 @@ class ServerSettings(BaseModel):
     """Reads without a token, as a viewer; has an effect on loopback only."""
     enrollment_secret: str | None = Field(default=None, min_length=16, repr=False)
     """Shared secret that enrols any number of devices, as a one-time code enrols one."""
+    secure: bool = False
+    """Speaks TLS itself."""
+    wheels_dir: Path | None = None
+    """Folder of the wheels that devices install the agent and the renderer from."""
     workers: int = Field(default=1, ge=1, le=64)
     """Processes that compare pictures."""
     lease_slack_s: FiniteFloat = Field(default=300.0, gt=0)
     """Added to the longest time a measurement may take: start, compile, upload."""
     release_pause_s: FiniteFloat = Field(default=5.0, ge=0)
     """A job given back unmeasured is not handed out again sooner."""
+    retry_pause_s: FiniteFloat = Field(default=5.0, ge=0)
+    """A job that failed once is not handed out again sooner; the pause doubles with each failure."""
+    longest_retry_pause_s: FiniteFloat = Field(default=300.0, ge=0)
     reap_every_s: FiniteFloat = Field(default=5.0, gt=0)
     max_attempts: int = Field(default=3, ge=1)
+    suspect_after: int = Field(default=5, ge=1)
+    """Failures in a row after which a device gets no jobs until an operator clears it."""
     max_configurations: int = Field(default=2000, ge=1)
     max_jobs: int = Field(default=20_000, ge=1)
     """Most jobs of one sweep."""

@@ -2,11 +2,14 @@
 
 import errno
 import hashlib
+import json
 import os
 from pathlib import Path
 
 import pytest
 from fake_fleet import TOKEN, FakeFleet
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from joulebox_agent.delivery import Delivery
 from joulebox_agent.errors import ServerUnreachableError, SpoolFullError, TokenRejectedError
 from joulebox_agent.server import Server
@@ -211,3 +214,55 @@ def test_a_revoked_token_keeps_everything(spool: Spool, fleet: FakeFleet, said: 
     with pytest.raises(TokenRejectedError, match="unknown token"):
         delivery.send_all()
     assert len(spool.waiting()) == 1
+
+
+def test_a_damaged_blob_does_not_spoil_the_next_result(spool: Spool, delivery: Delivery, fleet: FakeFleet) -> None:
+    """Two results may name one picture; the second brings it whole."""
+    delivery.keep(entry(1), BLOBS)
+    victim = spool.folder / "blobs" / next(iter(BLOBS))
+    victim.write_bytes(b"damaged")
+    delivery.send_all()
+    assert fleet.results == {}
+    delivery.keep(entry(2), BLOBS)
+    delivery.send_all()
+    assert fleet.results.keys() == {"attempt-2"}
+
+
+def test_bytes_hurt_on_the_way_are_sent_again(spool: Spool, delivery: Delivery, fleet: FakeFleet) -> None:
+    """The spool's copy is good: the server's complaint is about the way, and the entry waits."""
+    delivery.keep(entry(1), BLOBS)
+    wrong = {"title": "wrong digest", "code": "wrong_digest"}
+    fleet.answers["PUT /blobs/"] = (422, wrong)
+    with pytest.raises(ServerUnreachableError):
+        delivery.send_all()
+    assert len(spool.waiting()) == 1
+    del fleet.answers["PUT /blobs/"]
+    delivery.send_all()
+    assert fleet.results.keys() == {"attempt-1"}
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+)
+ENTRIES = st.fixed_dictionaries(
+    {}, optional={"attempt_id": JSON, "document": JSON, "blobs": st.lists(st.sampled_from([*BLOBS, "0" * 64])) | JSON}
+)
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(st.binary(max_size=200) | st.one_of(JSON, ENTRIES).map(lambda document: json.dumps(document).encode()))
+def test_whatever_stands_in_a_file_blocks_nobody(tmp_path_factory: pytest.TempPathFactory, content: bytes) -> None:
+    """Any bytes under the name of an entry: set aside or sent, and the good result behind it arrives."""
+    fleet, said = FakeFleet(), list[str]()
+    spool = Spool(tmp_path_factory.mktemp("any") / "spool")
+    delivery = Delivery(
+        spool, Server("http://fleet", TOKEN, transport=fleet.transport, quick_wait_s=0.001), said.append
+    )
+    (spool.folder / "a.json").write_bytes(content)
+    os.utime(spool.folder / "a.json", (1, 1))  # the oldest: its turn comes first
+    delivery.keep(entry(7), BLOBS)
+    delivery.send_all()
+    assert "attempt-7" in fleet.results
+    assert spool.waiting() == []
+    spool.sweep()

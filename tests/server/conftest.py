@@ -1,17 +1,11 @@
 """A server in this process (TestClient), one on a real port (uvicorn), and devices for both."""
 
-import threading
-import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import httpx2
 import pytest
-import uvicorn
-from joulebox_server.app import create_app
-from joulebox_server.settings import ServerSettings
-from server_testing import BASE_URL, Clock, Server, serving
+from server_testing import Server, listening, serving
 
 
 @pytest.fixture(scope="session")
@@ -32,26 +26,8 @@ def server(tmp_path: Path, executor: ThreadPoolExecutor) -> Iterator[Server]:
 @pytest.fixture
 def live(tmp_path: Path, executor: ThreadPoolExecutor) -> Iterator[Server]:
     """As `server`, on a real port: for what needs several connections at once."""
-    clock = Clock()
-    app = create_app(ServerSettings(data_dir=tmp_path / "data", release_pause_s=0), executor, clock)
-    config = uvicorn.Config(app, port=0, log_level="warning", timeout_graceful_shutdown=1)
-    running = uvicorn.Server(config)
-    thread = threading.Thread(target=running.run)
-    thread.start()
-    try:
-        while not running.started:
-            assert thread.is_alive()
-            time.sleep(0.01)
-        port = running.servers[0].sockets[0].getsockname()[1]
-        with httpx2.Client(base_url=f"{BASE_URL}:{port}", timeout=20) as client:
-            made = Server(client, app, clock)
-            made.add_scene()
-            yield made
-    finally:
-        if running.started:
-            app.state.services.bell.close()
-        running.should_exit = True
-        thread.join()
+    with listening(tmp_path / "data", executor) as made:
+        yield made
 
 
 @pytest.fixture

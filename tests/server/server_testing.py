@@ -1,12 +1,15 @@
 """A server under test: its clock, its client, and how a device uses it."""
 
 import json
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import httpx2
+import uvicorn
 from fake_device import FakeDevice, scene_zip, sweep
 from joulebox_server.app import create_app
 from joulebox_server.settings import ServerSettings
@@ -69,6 +72,33 @@ class Server:
 @contextmanager
 def serving(data_dir: Path, executor: Any, **settings: Any) -> Iterator[Server]:
     clock = Clock()
-    app = create_app(ServerSettings(data_dir=data_dir, **{"release_pause_s": 0, **settings}), executor, clock)
+    given = {"release_pause_s": 0, "retry_pause_s": 0, **settings}
+    app = create_app(ServerSettings(data_dir=data_dir, **given), executor, clock)
     with TestClient(app, base_url=BASE_URL, raise_server_exceptions=False) as client:
         yield Server(client, app, clock)
+
+
+@contextmanager
+def listening(data_dir: Path, executor: Any, **settings: Any) -> Iterator[Server]:
+    """As `serving`, on a real port of this process, with a scene `box`."""
+    clock = Clock()
+    given = {"release_pause_s": 0, "retry_pause_s": 0, **settings}
+    app = create_app(ServerSettings(data_dir=data_dir, **given), executor, clock)
+    config = uvicorn.Config(app, port=0, log_level="warning", timeout_graceful_shutdown=1)
+    running = uvicorn.Server(config)
+    thread = threading.Thread(target=running.run)
+    thread.start()
+    try:
+        while not running.started:
+            assert thread.is_alive()
+            time.sleep(0.01)
+        port = running.servers[0].sockets[0].getsockname()[1]
+        with httpx2.Client(base_url=f"{BASE_URL}:{port}", timeout=20) as client:
+            made = Server(client, app, clock)
+            made.add_scene()
+            yield made
+    finally:
+        if running.started:
+            app.state.services.bell.close()
+        running.should_exit = True
+        thread.join()

@@ -98,7 +98,7 @@ BAD_SWEEPS: list[tuple[dict[str, Any], str, str]] = [
     ({"axes": {"seed": []}}, "axes.seed", "at least 1 item"),
     ({"axes": {"seed": [1, 1]}}, "the body", "holds a value twice"),
     ({"repeats": 0}, "repeats", "greater than or equal to 1"),
-    ({"rule": "sobol"}, "rule", "one_at_a_time"),
+    ({"rule": "latin"}, "rule", "one_at_a_time"),
     ({"measure": {"min_windows": 9, "max_windows": 2}}, "measure", "min_windows 9 is more than max_windows 2"),
     ({"scenes": []}, "scenes", "at least 1 item"),
     ({"scenes": ["box", "box"]}, "the body", "twice"),
@@ -256,7 +256,7 @@ def test_unexpected_error(server: Server, monkeypatch: pytest.MonkeyPatch) -> No
     def broken(*_: Any) -> None:
         raise sqlite3.DatabaseError("secret inside")
 
-    monkeypatch.setattr("joulebox_server.store.devices.enrolled", broken)
+    monkeypatch.setattr("joulebox_server.store.devices.listed", broken)
     answer = server.client.get("/v1/devices")
     problem = told(answer, 500, "failed", "its log says more")
     assert "secret" not in answer.text

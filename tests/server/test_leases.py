@@ -11,10 +11,12 @@ from fake_device import FakeDevice, measure_document, picture, resolved
 from joulebox_server.schemas.sweep import SweepDefinition
 from joulebox_server.store import Store, blobs, devices, leases, planning, results, scenes
 from joulebox_server.store.database import number, rows
-from joulebox_server.store.leases import LeaseRules
+from joulebox_server.store.jobs import LeaseRules
 from server_testing import Server, serving
 
-RULES = LeaseRules(slack_s=300, release_pause_s=0, max_attempts=3)
+RULES = LeaseRules(
+    slack_s=300, release_pause_s=0, retry_pause_s=0, longest_retry_pause_s=0, max_attempts=3, suspect_after=5
+)
 PAST_ANY_LEASE_S = 10_000.0
 
 
@@ -168,6 +170,21 @@ def test_restarted_device_gives_back_at_once(server: Server) -> None:
     assert device.finish(before).json() == {"accepted": "late"}
 
 
+def test_a_lease_whose_answer_was_lost(server: Server) -> None:
+    """A device that says what it holds gets back at once what it never heard of; one that does not say, does not."""
+    server.add_sweep(axes={}, repeats=1)
+    device = server.device()
+    lost = device.lease()[0]
+    kept = device.lease(holding=[lost["attempt_id"]])[0]
+    assert kept["job_id"] != lost["job_id"]
+    assert lost["job_id"] not in [lease["job_id"] for lease in device.lease(max_jobs=5)]
+    again = device.lease(holding=[kept["attempt_id"]])[0]
+    assert again["job_id"] == lost["job_id"]
+    assert "never got the lease" in state_of(server, lost["job_id"])["reason"]
+    assert device.finish(kept).json() == {"accepted": "ok"}
+    assert device.finish(lost).json() == {"accepted": "late"}
+
+
 def test_voided_measurement_is_measured_again(server: Server) -> None:
     server.add_sweep(axes={}, repeats=1)
     device = server.device()
@@ -255,7 +272,7 @@ def test_eight_threads_never_share_a_job(tmp_path: Path) -> None:
                 taken.append(lease.job_id)
                 body = measure_document(lease.model_dump(), b"", image_blob=None)
                 document = results.MeasureDocument.model_validate(body)
-                store.write(results.accept, store.blob_dir, lease.attempt_id, device_id, document, 3, now_us)
+                store.write(results.accept, store.blob_dir, lease.attempt_id, device_id, document, RULES, now_us)
         return taken
 
     with ThreadPoolExecutor(8) as pool:

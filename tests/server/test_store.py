@@ -59,7 +59,7 @@ def test_a_failed_write_undoes_itself_alone(store: Store) -> None:
     with pytest.raises(NotFoundError, match="on purpose"):
         failing.result()
     assert after.result()
-    names = [device["name"] for device in store.read(devices.enrolled)]
+    names = [device["name"] for device in store.read(devices.listed, 10, None)]
     assert sorted(names) == ["after", "before"]
 
 
@@ -72,7 +72,7 @@ def test_a_cancelled_write_is_skipped(store: Store) -> None:
     gate.set()
     holding.result(5)
     assert store.submit(devices.enroll, "here", "boot").result(5)
-    assert [device["name"] for device in store.read(devices.enrolled)] == ["here"]
+    assert [device["name"] for device in store.read(devices.listed, 10, None)] == ["here"]
 
 
 def test_readers_cannot_write(store: Store) -> None:

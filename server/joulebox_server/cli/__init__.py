@@ -32,7 +32,16 @@ def build() -> typer.Typer:
     ) -> None:
         """What a picture costs in joules, and which settings give the best one for a budget."""
 
-    for command in (serve, findings.recommend, findings.tradeoff, findings.export, data.backup, data.gc, diff):
+    for command in (
+        serve,
+        findings.recommend,
+        findings.tradeoff,
+        findings.export,
+        data.backup,
+        data.restore,
+        data.gc,
+        diff,
+    ):
         app.command()(command)
     app.add_typer(sweep.app, name="sweep")
     app.add_typer(device.app, name="device")

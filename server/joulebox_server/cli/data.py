@@ -103,6 +103,27 @@ def backup(
         typer.echo(f"backed up to {folder}: the database and {copied} new blob(s)")
 
 
+def restore(
+    folder: Annotated[Path, typer.Argument(help="A folder that `joulebox backup` filled.")],
+    data: DataOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Put a backup into a data folder that holds no server's data yet."""
+    data_dir = data or default_data_dir()
+    try:
+        found = upkeep.restore(folder, data_dir)
+    except (OSError, sqlite3.Error) as error:
+        raise CommandError(f"the backup in {folder} cannot be restored: {error}") from None
+    if as_json:
+        print_json({"data": str(data_dir), "blobs_copied": found.blobs, "blobs_missing": found.missing})
+        return
+    typer.echo(f"restored to {data_dir}: the database and {found.blobs} blob(s)")
+    if found.missing:
+        typer.echo(
+            f"{len(found.missing)} blob(s) of the database are not in the backup: {', '.join(found.missing[:5])}"
+        )
+
+
 def gc(
     grace_hours: Annotated[float, typer.Option(min=0, help="Keep whatever is younger.")] = 24.0,
     data: DataOption = None,

@@ -1,6 +1,6 @@
 """`joulebox device ...`."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -19,12 +19,19 @@ def list_devices(
     server: ServerOption = None, token: TokenOption = None, data: DataOption = None, as_json: JsonOption = False
 ) -> None:
     """Every enrolled device, the most recently seen first."""
-    found = connect(server, token, data).json("GET", "/devices")
+    connection = connect(server, token, data)
+    items: list[dict[str, Any]] = []
+    cursor: str | None = ""
+    while cursor is not None:
+        found = connection.json("GET", "/devices", params={"limit": 200, **({"cursor": cursor} if cursor else {})})
+        items += found["items"]
+        cursor = found["next"]
+    items.sort(key=lambda device: float(device["last_seen_age_s"]))
     if as_json:
-        print_json(found)
+        print_json({"items": items, "next": None})
         return
     print_table(
-        ("id", "name", "health", "machine", "energy", "seen"),
+        ("id", "name", "health", "machine", "energy", "seen", "to look at"),
         [
             (
                 device["id"],
@@ -33,8 +40,9 @@ def list_devices(
                 _machine(device["capabilities"]),
                 _energy(device["capabilities"]),
                 f"{device['last_seen_age_s']:.0f} s ago",
+                "; ".join(flag["message"] for flag in device["flags"]),
             )
-            for device in found["items"]
+            for device in items
         ],
         "no device yet; `joulebox device enroll` makes a code for one",
     )
@@ -60,12 +68,59 @@ def enroll(
     """Make a one-time code; print the command to run on the device within 15 minutes."""
     connection = connect(server, token, data)
     found = connection.json("POST", "/enrollments", json={"name": name})
-    command = f"joulebox-agent enroll --server {connection.url} --code {found['code']}"
     if as_json:
+        command = f"joulebox-agent enroll --server {connection.url} --code {found['code']}"
         print_json({**found, "server": connection.url, "command": command})
         return
     typer.echo(f"code {found['code']}, good for one device until {found['expires_at']}; on the device run:")
-    typer.echo(command)
+    typer.echo(found["join"])
+
+
+@app.command("token")
+def rotate_token(
+    device: DeviceArgument,
+    server: ServerOption = None,
+    token: TokenOption = None,
+    data: DataOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Make a new token for a device and print it, this once; the old one ends."""
+    found = connect(server, token, data).json("POST", f"/devices/{device}/token")
+    if as_json:
+        print_json(found)
+    else:
+        typer.echo(found["token"])
+
+
+@app.command()
+def disagreements(
+    device: DeviceArgument,
+    server: ServerOption = None,
+    token: TokenOption = None,
+    data: DataOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Pictures of a device that differ from what another made of the same settings, the newest 200."""
+    found = connect(server, token, data).json("GET", f"/devices/{device}/disagreements", params={"limit": 200})
+    if as_json:
+        print_json(found)
+        return
+    print_table(
+        ("scene", "settings", "device", "class", "other device", "class", "p99 JND"),
+        [
+            (
+                check["scene"],
+                " ".join(f"{name}={value}" for name, value in check["settings"].items()),
+                check["device"],
+                check["render_class"],
+                check["other_device"],
+                check["other_render_class"],
+                "other pixels" if check["p99_jnd"] is None else f"{check['p99_jnd']:.2f}",
+            )
+            for check in found["items"]
+        ],
+        "its pictures agree with those of every other device",
+    )
 
 
 @app.command()

@@ -17,7 +17,7 @@ from joulebox_server.cli.connection import (
 )
 from joulebox_server.cli.output import print_json, print_table, quantity
 
-FORMATS = ("csv", "json", "ndjson")
+FORMATS = ("csv", "parquet", "json", "ndjson")
 
 SweepArgument = Annotated[str, typer.Argument(help="Id of a sweep, or its name if only one has it.")]
 SceneOption = Annotated[str | None, typer.Option(help="Scene of the sweep; its first unless given.")]
@@ -132,21 +132,23 @@ def export(
     data: DataOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """All results as CSV, JSON or lines of JSON; --json is --format json."""
+    """All results as CSV, Parquet, JSON or lines of JSON; --json is --format json."""
     wanted = "json" if as_json else file_format
     if wanted not in FORMATS:
         raise WrongUseError(f"the format is one of {', '.join(FORMATS)}, not {wanted!r}")
+    if wanted == "parquet" and output is None:
+        raise WrongUseError("a Parquet file needs a name: give one with -o")
     # The server sends lines; one JSON document is made of them here.
-    params = {"format": "csv" if wanted == "csv" else "ndjson"} | ({} if sweep is None else {"sweep": sweep})
+    params = {"format": "ndjson" if wanted == "json" else wanted} | ({} if sweep is None else {"sweep": sweep})
     with connect(server, token, data).opened() as client:
-        text = checked(client.get("/v1/results", params=params)).text
+        content = checked(client.get("/v1/results", params=params)).content
     if wanted == "json":
-        text = "[" + ",\n".join(text.splitlines()) + "]\n"
+        content = b"[" + b",\n".join(content.splitlines()) + b"]\n"
     if output is None:
-        typer.echo(text, nl=False)
+        typer.echo(content.decode(), nl=False)
         return
     try:
-        output.write_text(text, newline="")
+        output.write_bytes(content)
     except OSError as error:
         raise CommandError(f"the results cannot be written to {output}: {error.strerror}") from None
     if not as_json:

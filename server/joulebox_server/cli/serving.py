@@ -2,10 +2,15 @@
 
 import errno
 import json
+import logging
 import os
 import socket
 import sqlite3
-from collections.abc import Callable
+import ssl
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from logging.handlers import RotatingFileHandler
 from pathlib import Path
 
 import typer
@@ -28,31 +33,97 @@ from joulebox_server.store import Store, tokens
 
 GRACE_S = 3
 """How long open requests may take to end after Ctrl-C."""
+LONGEST_LOG_BYTES = 10 << 20
+OLD_LOGS = 3
 
 
-def run_server(data_dir: Path, host: str, port: int, secret_file: Path | None, workers: int, as_json: bool) -> None:
+@dataclass(frozen=True)
+class Asked:
+    """What the command was given."""
+
+    data_dir: Path
+    host: str
+    port: int
+    secret_file: Path | None
+    tls_certificate: Path | None
+    tls_key: Path | None
+    wheels_dir: Path
+    request_log: Path
+    workers: int
+
+
+def run_server(asked: Asked, as_json: bool) -> None:
     """Run a server until Ctrl-C. Raises CommandError or WrongUseError when it cannot start."""
-    secret = None if secret_file is None else _secret(secret_file)
-    settings = _settings(data_dir, host, port, secret, workers)
-    listening = _bind(host, port)
+    _check_tls(asked)
+    settings = _settings(asked)
+    listening = _bind(asked.host, asked.port)
     try:
         token = _first_token(settings)
-        url = f"http://{_host_in_url(host)}:{listening.getsockname()[1]}"
-        app = create_app(settings)
-        config = uvicorn.Config(
-            app, log_level="warning", access_log=False, timeout_graceful_shutdown=GRACE_S, server_header=False
-        )
-        server = _Server(config, app, lambda: _announce(settings, url, token, as_json))
-        try:
-            server.run(sockets=[listening])
-        except KeyboardInterrupt:
-            pass  # asked for, and everything is closed
-        finally:
-            (settings.data_dir / ADDRESS_FILE).unlink(missing_ok=True)
-        if not server.started:
-            raise CommandError("the server could not start; the lines above say why")
+        with _request_log(asked.request_log):
+            _run(asked, settings, listening, token, as_json)
     finally:
         listening.close()
+
+
+def _run(asked: Asked, settings: ServerSettings, listening: socket.socket, token: str | None, as_json: bool) -> None:
+    scheme = "https" if settings.secure else "http"
+    url = f"{scheme}://{_host_in_url(asked.host)}:{listening.getsockname()[1]}"
+    app = create_app(settings)
+    config = uvicorn.Config(
+        app,
+        log_level="warning",
+        access_log=False,
+        timeout_graceful_shutdown=GRACE_S,
+        server_header=False,
+        ssl_certfile=asked.tls_certificate,
+        ssl_keyfile=asked.tls_key,
+    )
+    server = _Server(config, app, lambda: _announce(settings, url, token, as_json))
+    try:
+        server.run(sockets=[listening])
+    except KeyboardInterrupt:
+        pass  # asked for, and everything is closed
+    finally:
+        (settings.data_dir / ADDRESS_FILE).unlink(missing_ok=True)
+    if not server.started:
+        raise CommandError("the server could not start; the lines above say why")
+
+
+def _check_tls(asked: Asked) -> None:
+    """Raises WrongUseError unless both files or none are given, and they belong together."""
+    if (asked.tls_certificate is None) != (asked.tls_key is None):
+        raise WrongUseError("--tls-certificate and --tls-key belong together; give both or neither")
+    if asked.tls_certificate is None:
+        return
+    try:
+        ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(asked.tls_certificate, asked.tls_key, password="")
+    except OSError as error:  # ssl.SSLError is one
+        raise WrongUseError(
+            f"the certificate {asked.tls_certificate} and the key {asked.tls_key} cannot be used: {error}"
+        ) from None
+
+
+@contextmanager
+def _request_log(path: Path) -> Iterator[None]:
+    """Write one JSON line a request to a file that is renewed at 10 MiB, or to standard error."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handler: logging.Handler = (
+            logging.StreamHandler()
+            if str(path) == "-"
+            else RotatingFileHandler(path, maxBytes=LONGEST_LOG_BYTES, backupCount=OLD_LOGS, encoding="ascii")
+        )
+    except OSError as error:
+        raise CommandError(f"the request log {path} cannot be written: {error.strerror}") from None
+    log = logging.getLogger("joulebox.requests")
+    log.setLevel(logging.INFO)
+    log.propagate = False
+    log.addHandler(handler)
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
+        handler.close()
 
 
 class _Server(uvicorn.Server):
@@ -80,9 +151,17 @@ def _secret(path: Path) -> str:
         raise WrongUseError(f"the enrolment secret cannot be read from {path}: {error}") from None
 
 
-def _settings(data_dir: Path, host: str, port: int, secret: str | None, workers: int) -> ServerSettings:
+def _settings(asked: Asked) -> ServerSettings:
     try:
-        return ServerSettings(data_dir=data_dir, host=host, port=port, enrollment_secret=secret, workers=workers)
+        return ServerSettings(
+            data_dir=asked.data_dir,
+            host=asked.host,
+            port=asked.port,
+            enrollment_secret=None if asked.secret_file is None else _secret(asked.secret_file),
+            workers=asked.workers,
+            secure=asked.tls_certificate is not None,
+            wheels_dir=asked.wheels_dir,
+        )
     except ValidationError as error:
         wrong = field_errors(error.errors(include_input=False))[0]
         raise WrongUseError(f"{wrong.field.replace('_', ' ')}: {wrong.message}") from None

@@ -40,7 +40,8 @@ def preview(
     jobs, time_s = found["jobs"], found["time_s"]
     typer.echo(
         f"{found['configurations']} configurations, {jobs['total']} jobs on {found['devices']} device(s): "
-        f"{jobs['measure']} measurements, {jobs['reference']} references, {jobs['noise_floor']} noise floors"
+        f"{jobs['measure']} measurements, {jobs['reference']} references, {jobs['noise_floor']} noise floors, "
+        f"{jobs['control']} control runs; {jobs['metered']} of them metered"
     )
     typer.echo(f"{time_s['low'] / 3600:.2f} to {time_s['high'] / 3600:.2f} hours a device")
     energy_j = found["energy_j"]
@@ -48,6 +49,10 @@ def preview(
         typer.echo("joules are unknown: nothing was measured on these devices yet")
     else:
         typer.echo(f"about {energy_j:.0f} J ({energy_j / 3600:.1f} Wh) at {found['power_w']:.1f} W")
+        charges = found["battery_charges"]
+        if charges is not None:
+            full_wh = found["battery_full_j"] / 3600
+            typer.echo(f"{charges:.1f} battery charges, each from 90 to 30 % of {full_wh:.0f} Wh")
 
 
 @app.command()

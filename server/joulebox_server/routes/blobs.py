@@ -1,12 +1,16 @@
 """Blobs by the SHA-256 of their bytes: immutable, so they may be cached for ever."""
 
-from typing import Annotated
+import asyncio
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Request, Response
 from fastapi.responses import FileResponse, JSONResponse
 from starlette.exceptions import HTTPException
 from starlette.types import Message, Receive, Scope, Send
 
+from joulebox_server.errors import TooLargeError
+from joulebox_server.problems import told
+from joulebox_server.schemas.answers import StoredBlob
 from joulebox_server.services import Anyone, ServicesOf, Writer
 from joulebox_server.store import blobs
 
@@ -28,13 +32,22 @@ class BlobFile(FileResponse):
 
 
 ShaPath = Annotated[str, Path(pattern=r"^[0-9a-f]{64}$")]
+BYTES: dict[str, Any] = {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}
 FOREVER = "private, max-age=31536000, immutable"
 
 router = APIRouter(tags=["blobs"])
 
 
 @router.head("/blobs/{sha256}", include_in_schema=False)
-@router.get("/blobs/{sha256}")
+@router.get(
+    "/blobs/{sha256}",
+    response_class=BlobFile,
+    responses={
+        200: {"content": BYTES, "description": "The bytes."},
+        206: {"content": BYTES, "description": "The Range asked for."},
+        **told(400, 404, 416),
+    },
+)
 def get_blob(services: ServicesOf, _: Anyone, sha256: ShaPath) -> BlobFile:
     """The bytes, whole or the Range asked for."""
     found = services.store.read(blobs.find, services.store.blob_dir, sha256)
@@ -42,16 +55,31 @@ def get_blob(services: ServicesOf, _: Anyone, sha256: ShaPath) -> BlobFile:
     return BlobFile(found, media_type="application/octet-stream", headers=headers)
 
 
-@router.put("/blobs/{sha256}", status_code=201)
+@router.put(
+    "/blobs/{sha256}",
+    status_code=201,
+    response_model=StoredBlob,
+    responses={200: {"model": StoredBlob, "description": "It is here already."}, **told(413, 507)},
+    openapi_extra={"requestBody": {"required": True, "content": BYTES}},
+)
 async def put_blob(services: ServicesOf, _: Writer, sha256: ShaPath, request: Request) -> Response:
     """Store the body: 201, or 200 when it is here already; 422 when it hashes to something else."""
-    store = services.store
+    store, most = services.store, services.settings.max_blob_bytes
     if await services.read(blobs.exists, store.blob_dir, sha256):
-        async for _chunk in request.stream():
-            pass  # an answer before the end of the body would look like a broken connection
+        await _pass_over(request, most)
         return JSONResponse({"sha256": sha256}, 200)
-    with blobs.Incoming(store.incoming_dir, services.settings.max_blob_bytes) as incoming:
+    with blobs.Incoming(store.incoming_dir, most) as incoming:
         async for chunk in request.stream():
             incoming.write(chunk)
+        await asyncio.to_thread(incoming.finish)  # waits for the disk: neither this loop nor the writer should
         new = await services.write(blobs.adopt, store.blob_dir, incoming, sha256)
     return JSONResponse({"sha256": sha256}, 201 if new else 200)
+
+
+async def _pass_over(request: Request, most: int) -> None:
+    """Read a body that is not needed: an answer before its end would look like a broken connection."""
+    size_bytes = 0
+    async for chunk in request.stream():
+        size_bytes += len(chunk)
+        if size_bytes > most:
+            raise TooLargeError(f"a blob may have at most {most} bytes")

@@ -7,6 +7,7 @@ from fastapi import APIRouter, Depends, Header, Query
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from sqlite_utils import Database
 
+from joulebox_server.problems import told
 from joulebox_server.services import ServicesOf, Viewer
 from joulebox_server.store import events, sweeps
 
@@ -35,7 +36,7 @@ async def _start(
 Start = Annotated[tuple[str | None, int], Depends(_start)]
 
 
-@router.get("/events", response_class=EventSourceResponse)
+@router.get("/events", response_class=EventSourceResponse, responses=told(404, 409))
 async def stream(services: ServicesOf, start: Start) -> AsyncIterator[ServerSentEvent]:
     """Events `job`, `sweep`, `device`, `difference` as they happen, or since Last-Event-ID; of one sweep or all."""
     sweep_id, seen = start

@@ -9,7 +9,9 @@ from sqlite_utils import Database
 
 from joulebox_server.analysis.images import read_picture, tonemap_png
 from joulebox_server.errors import InvalidError, ServerError, UnavailableError
+from joulebox_server.problems import told
 from joulebox_server.routes.blobs import FOREVER, ShaPath
+from joulebox_server.schemas.answers import DifferenceDocument
 from joulebox_server.services import ServicesOf, Viewer
 from joulebox_server.store import blobs, differences
 from joulebox_server.store.database import Row
@@ -22,7 +24,7 @@ Sha = Annotated[str, Query(pattern=r"^[0-9a-f]{64}$")]
 router = APIRouter(tags=["pictures"])
 
 
-@router.get("/compare")
+@router.get("/compare", response_model=DifferenceDocument, responses=told(404, 507))
 async def compare(
     services: ServicesOf, _: Viewer, reference: Sha, test: Sha, exposure: Exposure = 1.0
 ) -> dict[str, Any]:
@@ -45,7 +47,11 @@ async def compare(
     return differences.document(difference)
 
 
-@router.get("/images/{sha256}.png")
+@router.get(
+    "/images/{sha256}.png",
+    response_class=Response,
+    responses={200: {"content": {"image/png": {}}, "description": "The picture."}, **told(404)},
+)
 def image(
     services: ServicesOf,
     _: Viewer,

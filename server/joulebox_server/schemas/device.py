@@ -16,6 +16,8 @@ class EnrollmentRequest(Document):
 class EnrollmentDocument(Document):
     code: str
     expires_at: str
+    join: str
+    """One line for the device's shell: install, enrol, look at the energy sources."""
 
 
 class DeviceRequest(Document):
@@ -64,6 +66,8 @@ class LeaseRequest(Document):
     conditions: dict[str, JsonValue] = Field(default_factory=dict)
     max_jobs: int = Field(default=1, ge=1, le=20)
     wait_s: float = Field(default=0, ge=0, le=30)
+    holding: list[str] | None = Field(default=None, max_length=100)
+    """Attempts that the device works on; any other of its own is lost. None: it does not say."""
 
 
 class ReleaseRequest(Document):

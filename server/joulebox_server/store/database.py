@@ -11,10 +11,13 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from sqlite_utils import Database
 
-from joulebox_server.errors import ConflictError, InvalidError, StorageFullError, UnavailableError
+from joulebox_server.errors import ConflictError, InvalidError, PreconditionError, StorageFullError, UnavailableError
 from joulebox_server.store.migrations import migrations
 
+DATABASE = "joulebox.db"
 BUSY_TIMEOUT_MS = 5000
+LONGEST_LOG_PAGES = 20_000
+"""At which the writer itself moves its log into the database (80 MB); `checkpoint` does it long before."""
 LARGEST_GROUP = 64
 """Most writes that share one commit, so that the first of them does not wait for long."""
 
@@ -25,7 +28,9 @@ T = TypeVar("T")
 
 def rows(db: Database, sql: str, parameters: Iterable[Any] = ()) -> list[Row]:
     """All rows of a query as dictionaries."""
-    return list(db.query(sql, tuple(parameters)))
+    cursor = db.conn.execute(sql, tuple(parameters))
+    names = [column[0] for column in cursor.description]
+    return [dict(zip(names, values, strict=True)) for values in cursor]
 
 
 def row(db: Database, sql: str, parameters: Iterable[Any] = ()) -> Row | None:
@@ -33,9 +38,28 @@ def row(db: Database, sql: str, parameters: Iterable[Any] = ()) -> Row | None:
     return next(iter(rows(db, sql, parameters)), None)
 
 
+def insert(db: Database, table: str, values: Row) -> None:
+    """Add one row; `values` names its columns, in the code's own words."""
+    places = ", ".join("?" * len(values))
+    db.conn.execute(f"INSERT INTO {table} ({', '.join(values)}) VALUES ({places})", tuple(values.values()))
+
+
 def number(db: Database, sql: str, parameters: Iterable[Any] = ()) -> int:
     """The one integer that a query answers; 0 for NULL."""
     return int(db.execute(sql, tuple(parameters)).fetchone()[0] or 0)
+
+
+def etag(version: int) -> str:
+    """The ETag of something that an operator can change, after so many changes."""
+    return f'"v{version}"'
+
+
+def check_match(wanted: str | None, version: int, what: str) -> None:
+    """Raise PreconditionError unless the If-Match header `wanted` (None: not sent) names this version."""
+    if wanted is not None and wanted.strip() != "*" and etag(version) not in [tag.strip() for tag in wanted.split(",")]:
+        raise PreconditionError(
+            f"{what} was changed meanwhile: its ETag is {etag(version)} and not {wanted}; read it again"
+        )
 
 
 class _Write:
@@ -73,7 +97,7 @@ class Store:
         self.incoming_dir = data_dir / "incoming"
         for folder in (self.blob_dir, self.incoming_dir):
             folder.mkdir(parents=True, exist_ok=True)
-        self.path = data_dir / "joulebox.db"
+        self.path = data_dir / DATABASE
         self.last_event_id = 0
         self._listeners: list[Callable[[], None]] = []
         self._queue: queue.SimpleQueue[_Write | None] = queue.SimpleQueue()
@@ -113,6 +137,26 @@ class Store:
             finally:
                 db.conn.execute("ROLLBACK")
 
+    def look(self, function: Callable[Concatenate[Database, P], T], *args: P.args, **kwargs: P.kwargs) -> T:
+        """As `read`, for a function that runs one query: a third of the statements."""
+        with self._reader() as db:
+            try:
+                return function(db, *args, **kwargs)
+            except sqlite3.Error as error:
+                raise _named(error) from error
+
+    def checkpoint(self) -> None:
+        """Move what was committed from the log into the database, beside the writer and without holding it up.
+
+        A writer that did it on its own would make whoever waits for its commit wait for two more disk writes.
+        """
+        with self._reader() as db:
+            db.conn.execute("PRAGMA query_only=OFF")
+            try:
+                db.conn.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
+            finally:
+                db.conn.execute("PRAGMA query_only=ON")
+
     def on_event(self, listener: Callable[[], None]) -> None:
         """Call `listener()` on the writer thread after every commit that added an event."""
         self._listeners.append(listener)
@@ -134,12 +178,16 @@ class Store:
     def _prepared(self) -> Database:
         db = self._connect()
         db.conn.execute("PRAGMA journal_mode=WAL")
+        db.conn.execute(f"PRAGMA wal_autocheckpoint={LONGEST_LOG_PAGES}")
+        # Off while tables are rebuilt: dropping the old one would take along every row that refers to it.
+        db.conn.execute("PRAGMA foreign_keys=OFF")
         # FULL: an agent deletes its spooled result on our word, so the word must survive a power cut.
         db.conn.execute("PRAGMA synchronous=FULL")
         # Immediate, so that two processes opening a new folder at once do not both make the tables.
         db.conn.execute("BEGIN IMMEDIATE")
         migrations.apply(db)
         db.conn.execute("COMMIT")
+        db.conn.execute("PRAGMA foreign_keys=ON")
         self.last_event_id = _newest_event(db)
         return db
 

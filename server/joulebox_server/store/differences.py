@@ -7,7 +7,7 @@ from sqlite_utils import Database
 
 from joulebox_server.analysis.difference import METRIC, VERSION
 from joulebox_server.errors import NotFoundError
-from joulebox_server.schemas.sweep import SweepDefinition
+from joulebox_server.schemas.sweep import definition_of
 from joulebox_server.store import events, sweeps
 from joulebox_server.store.database import Row, number, row, rows
 from joulebox_server.store.ids import canonical, new_id, now_us
@@ -26,7 +26,7 @@ def request(db: Database, job: Row, result_id: str) -> None:
 
     A measured picture is compared with its reference if that is there; a reference with all that waited for it.
     """
-    definition = SweepDefinition.model_validate_json(job["definition"])
+    definition = definition_of(job["definition"])
     same = definition.reference.seed_policy == "same"
     display = display_key(definition.picture_exposure)
     if job["purpose"] == "reference":
@@ -63,7 +63,7 @@ def _waiting(db: Database, job: Row, same: bool) -> list[Row]:
     return rows(
         db,
         """SELECT result.id, result.image_sha256 FROM job JOIN result ON result.job_id = job.id
-        WHERE job.target_id = ? AND job.sweep_scene_id = ? AND job.purpose != 'reference'
+        WHERE job.target_id = ? AND job.sweep_scene_id = ? AND job.purpose NOT IN ('reference', 'control')
         AND (job.repeat = ? OR NOT ?) AND result.void IS NULL
         AND NOT EXISTS (SELECT 1 FROM comparison WHERE comparison.result_id = result.id) ORDER BY result.id""",
         (job["target_id"], job["sweep_scene_id"], job["repeat"], same),

@@ -4,30 +4,24 @@ Every question about a lease is asked inside the write transaction that acts on 
 """
 
 import json
-from dataclasses import dataclass
+from collections.abc import Collection
 from typing import Any
 
 from sqlite_utils import Database
 
-from joulebox_server.errors import ConflictError, ForbiddenError, NotFoundError
+from joulebox_server.errors import ForbiddenError, NotFoundError
 from joulebox_server.schemas.device import Lease, LeasedMeasure, LeasedScene, ReleaseRequest
-from joulebox_server.schemas.sweep import SweepDefinition
-from joulebox_server.store import devices, events, jobs
+from joulebox_server.schemas.sweep import SweepDefinition, definition_of
+from joulebox_server.store import devices, events, jobs, life
 from joulebox_server.store.database import Row, row, rows
 from joulebox_server.store.ids import MICRO, canonical, new_id, timestamp
+from joulebox_server.store.jobs import LeaseRules
+from joulebox_server.store.life import Event
 
-WORKING = ("good", "suspect")
-"""Health at which a device is given jobs."""
 NOISE_FLOOR_WINDOW_S = 1.0
-
-
-@dataclass(frozen=True)
-class LeaseRules:
-    """The settings that leases depend on."""
-
-    slack_s: float
-    release_pause_s: float
-    max_attempts: int
+TIMED_WINDOW_S = 10.0
+TIMED_WINDOWS = 2
+"""Of a job whose joules are not measured."""
 
 
 def lease(
@@ -38,19 +32,28 @@ def lease(
     max_jobs: int,
     rules: LeaseRules,
     now_us: int,
+    holding: Collection[str] | None = None,
 ) -> list[Lease]:
     """Up to `max_jobs` jobs for a device, the oldest sweep's first; none when nothing is to be done.
 
-    Leases that ended are taken back first, and those of an earlier boot of this device at once: nobody
-    works on them any more.
+    Leases that ended are taken back first, and those of this device that nobody works on at once: of an earlier
+    boot, or not among those that it is `holding` (the answer with the lease was lost, or the agent restarted).
     """
     reap(db, rules, now_us)
-    _take_back(db, rules, "attempt.device_id = ? AND attempt.boot_id != ?", (device_id, boot_id), "restarted")
+    _take_back(db, rules, Event.RESTART, *_abandoned(device_id, boot_id, holding), now_us)
     db.execute("UPDATE device SET last_seen_at_us = ?, boot_id = ? WHERE id = ?", (now_us, boot_id, device_id))
     return [
         _grant(db, jobs.find(db, job_id), device_id, boot_id, conditions, rules, now_us)
         for job_id in _next_jobs(db, device_id, max_jobs, now_us)
     ]
+
+
+def _abandoned(device_id: str, boot_id: str, holding: Collection[str] | None) -> tuple[str, tuple[str, ...]]:
+    """Condition and parameters for the attempts of a device that nobody works on."""
+    if holding is None:
+        return "attempt.device_id = ? AND attempt.boot_id != ?", (device_id, boot_id)
+    others = f"attempt.id NOT IN ({', '.join('?' * len(holding))})"
+    return f"attempt.device_id = ? AND (attempt.boot_id != ? OR {others})", (device_id, boot_id, *holding)
 
 
 def work_waits(db: Database, device_id: str, now_us: int) -> bool:
@@ -61,7 +64,7 @@ def work_waits(db: Database, device_id: str, now_us: int) -> bool:
 
 def reap(db: Database, rules: LeaseRules, now_us: int) -> int:
     """Take back every lease that ended; returns how many."""
-    return _take_back(db, rules, "attempt.expires_at_us <= ?", (now_us,), "fell silent until the lease ended")
+    return _take_back(db, rules, Event.EXPIRY, "attempt.expires_at_us <= ?", (now_us,), now_us)
 
 
 def release(
@@ -72,19 +75,15 @@ def release(
     Raises NotFoundError, ForbiddenError for another device's attempt, ConflictError after its result.
     """
     attempt = find_attempt(db, attempt_id, device_id)
-    if attempt["state"] == "finished":
-        raise ConflictError("this attempt has its result already; it cannot be given back")
-    if attempt["state"] != "leased":
-        return
-    _end_attempt(db, attempt_id, "released", request.reason)
-    job = jobs.find(db, attempt["job_id"])
-    if request.failed:
-        jobs.spend_attempt(db, job, request.reason, rules.max_attempts)
-    else:
-        pause_us = round(rules.release_pause_s * MICRO)
-        jobs.give_back(
-            db, job, request.reason, rules.max_attempts, spent=job["attempts"], not_before_us=now_us + pause_us
-        )
+    event = Event.FAILURE if request.failed else Event.RELEASE
+    jobs.happen(db, event, jobs.find(db, attempt["job_id"]), attempt, rules, request.reason, now_us)
+
+
+def revoke(db: Database, key: str, rules: LeaseRules, now_us: int) -> str:
+    """Shut a device out and take its jobs back at once; its results stay. Returns its id."""
+    device_id = devices.revoke(db, key)
+    _take_back(db, rules, Event.REVOCATION, "attempt.device_id = ?", (device_id,), now_us)
+    return device_id
 
 
 def find_attempt(db: Database, attempt_id: str, device_id: str) -> Row:
@@ -97,33 +96,32 @@ def find_attempt(db: Database, attempt_id: str, device_id: str) -> Row:
     return found
 
 
-def finish(db: Database, attempt_id: str) -> None:
-    """Mark an attempt as the one that brought its result."""
-    _end_attempt(db, attempt_id, "finished", None)
+LOST = {
+    Event.EXPIRY: "fell silent until the lease ended",
+    Event.RESTART: "restarted, or never got the lease",
+    Event.REVOCATION: "was shut out",
+}
 
 
-def _end_attempt(db: Database, attempt_id: str, state: str, reason: str | None) -> None:
-    db.execute("UPDATE attempt SET state = ?, reason = ? WHERE id = ?", (state, reason, attempt_id))
-
-
-def _take_back(db: Database, rules: LeaseRules, which: str, parameters: tuple[Any, ...], what: str) -> int:
+def _take_back(
+    db: Database, rules: LeaseRules, event: Event, which: str, parameters: tuple[Any, ...], now_us: int
+) -> int:
     lost = rows(
         db,
-        f"""SELECT attempt.id, attempt.job_id, device.name FROM attempt JOIN device ON device.id = device_id
+        f"""SELECT attempt.*, device.name FROM attempt JOIN device ON device.id = device_id
         WHERE attempt.state = 'leased' AND {which}""",
         parameters,
     )
     for attempt in lost:
-        reason = f"the device {attempt['name']!r} {what}"
-        _end_attempt(db, attempt["id"], "expired", reason)
-        jobs.spend_attempt(db, jobs.find(db, attempt["job_id"]), reason, rules.max_attempts)
+        reason = f"the device {attempt['name']!r} {LOST[event]}"
+        jobs.happen(db, event, jobs.find(db, attempt["job_id"]), attempt, rules, reason, now_us)
     return len(lost)
 
 
 def _next_jobs(db: Database, device_id: str, count: int, now_us: int) -> list[str]:
     """Ids of the jobs that a device should do next. Reads no more of a long queue than it takes."""
     device = devices.find(db, device_id)
-    if device["health"] not in WORKING:
+    if device["health"] != "good":
         return []
     targets = rows(
         db,
@@ -158,24 +156,25 @@ def _grant(
     rules: LeaseRules,
     now_us: int,
 ) -> Lease:
-    measure = _measure(SweepDefinition.model_validate_json(job["definition"]), job["purpose"])
+    measure = _measure(definition_of(job["definition"]), job)
     expires_at_us = now_us + round((measure.max_seconds + measure.window_s + rules.slack_s) * MICRO)
-    attempt_id = new_id()
+    attempt_id, step = new_id(), life.step(Event.LEASE, job["state"], None)
     db.execute("UPDATE target SET device_id = ? WHERE id = ? AND device_id IS NULL", (device_id, job["target_id"]))
-    db.execute("UPDATE job SET state = 'leased' WHERE id = ?", (job["id"],))
+    db.execute("UPDATE job SET state = ? WHERE id = ?", (step.job, job["id"]))
     db.execute(
         """INSERT INTO attempt (id, job_id, device_id, boot_id, state, conditions, leased_at_us, expires_at_us)
-        VALUES (?, ?, ?, ?, 'leased', ?, ?, ?)""",
-        (attempt_id, job["id"], device_id, boot_id, canonical(conditions), now_us, expires_at_us),
+        VALUES (?, ?, ?, ?, ?, ?, ?, ?)""",
+        (attempt_id, job["id"], device_id, boot_id, step.attempt, canonical(conditions), now_us, expires_at_us),
     )
     events.add(
-        db, "job", job["sweep_id"], {"job_id": job["id"], "state": "leased", "device_id": device_id, "reason": None}
+        db, "job", job["sweep_id"], {"job_id": job["id"], "state": step.job, "device_id": device_id, "reason": None}
     )
     return Lease(
         attempt_id=attempt_id,
         job_id=job["id"],
         sweep_id=job["sweep_id"],
-        purpose=job["purpose"],
+        # A control run is measured like any other; an agent need not know of it.
+        purpose="measure" if job["purpose"] == "control" else job["purpose"],
         expires_at=timestamp(expires_at_us) or "",
         scene=LeasedScene(name=job["scene_name"], bundle_sha256=job["bundle_sha256"]),
         defines=json.loads(job["defines"]),
@@ -184,11 +183,14 @@ def _grant(
     )
 
 
-def _measure(definition: SweepDefinition, purpose: str) -> LeasedMeasure:
+def _measure(definition: SweepDefinition, job: Row) -> LeasedMeasure:
     rules = definition.measure
-    if purpose == "noise_floor":  # only its picture is wanted
-        window_s = min(rules.window_s, NOISE_FLOOR_WINDOW_S)
-        return LeasedMeasure(
-            **rules.model_dump() | {"window_s": window_s, "min_windows": 1, "max_windows": 1}, meter=False
-        )
-    return LeasedMeasure(**rules.model_dump(), meter=True)
+    known = rules.model_dump(exclude={"meter", "metered_windows"})
+    if job["metered"]:
+        return LeasedMeasure(**known, meter=True)
+    # Of a noise floor only the picture is wanted; a configuration that is timed needs no gauge to refresh.
+    longest_s, windows = (
+        (NOISE_FLOOR_WINDOW_S, 1) if job["purpose"] == "noise_floor" else (TIMED_WINDOW_S, TIMED_WINDOWS)
+    )
+    few = {"window_s": min(rules.window_s, longest_s), "min_windows": windows, "max_windows": windows}
+    return LeasedMeasure(**known | few, meter=False)

@@ -4,6 +4,8 @@ Times are microseconds since 1970 (`_at_us`), durations microseconds, energies m
 Documents are JSON text, read and written whole: no query looks inside.
 """
 
+import json
+
 from sqlite_utils import Database, Migrations
 
 migrations = Migrations("joulebox")
@@ -128,3 +130,88 @@ def first_tables(db: Database) -> None:
     """Everything of version 0.1."""
     for statement in (*PEOPLE, *WORK, *FINDINGS):
         db.execute(statement)
+
+
+# A job may be a control run, and be timed without its joules ("time everything, meter few").
+JOB_WITH_CONTROLS = """CREATE TABLE job_with_controls (
+        id TEXT PRIMARY KEY, sweep_id TEXT NOT NULL REFERENCES sweep (id) ON DELETE CASCADE,
+        target_id TEXT NOT NULL REFERENCES target (id) ON DELETE CASCADE,
+        sweep_scene_id TEXT NOT NULL REFERENCES sweep_scene (id) ON DELETE CASCADE,
+        configuration_id TEXT NOT NULL REFERENCES configuration (id),
+        purpose TEXT NOT NULL CHECK (purpose IN ('measure', 'reference', 'noise_floor', 'control')),
+        repeat INTEGER NOT NULL, seed INTEGER NOT NULL, block INTEGER NOT NULL, position INTEGER NOT NULL,
+        metered INTEGER NOT NULL DEFAULT 1,
+        state TEXT NOT NULL CHECK (state IN ('queued', 'leased', 'done', 'failed', 'cancelled')),
+        attempts INTEGER NOT NULL DEFAULT 0, not_before_us INTEGER NOT NULL DEFAULT 0, reason TEXT,
+        UNIQUE (sweep_id, target_id, configuration_id, sweep_scene_id, purpose, repeat))"""
+
+CONTROLS = (
+    JOB_WITH_CONTROLS,
+    """INSERT INTO job_with_controls (id, sweep_id, target_id, sweep_scene_id, configuration_id, purpose, repeat,
+        seed, block, position, metered, state, attempts, not_before_us, reason)
+        SELECT id, sweep_id, target_id, sweep_scene_id, configuration_id, purpose, repeat, seed, block, position,
+        CASE purpose WHEN 'noise_floor' THEN 0 ELSE 1 END, state, attempts, not_before_us, reason FROM job""",
+    "DROP TABLE job",
+    "ALTER TABLE job_with_controls RENAME TO job",
+    "CREATE INDEX job_queue ON job (target_id, state, block, position, id)",
+    "CREATE INDEX job_scene ON job (target_id, sweep_scene_id, purpose)",
+    "CREATE INDEX job_sweep ON job (sweep_id, state)",
+    # How far a control run is from the first of its scene and device: 1.02 is 2 % more.
+    """CREATE TABLE control_run (
+        result_id TEXT PRIMARY KEY REFERENCES result (id) ON DELETE CASCADE,
+        sweep_id TEXT NOT NULL REFERENCES sweep (id) ON DELETE CASCADE,
+        target_id TEXT NOT NULL REFERENCES target (id) ON DELETE CASCADE,
+        sweep_scene_id TEXT NOT NULL REFERENCES sweep_scene (id) ON DELETE CASCADE,
+        block INTEGER NOT NULL, time_ratio REAL NOT NULL, energy_ratio REAL)""",
+    "CREATE INDEX control_run_sweep ON control_run (sweep_id)",
+)
+
+CARE = (
+    "ALTER TABLE device ADD COLUMN failures_in_row INTEGER NOT NULL DEFAULT 0",
+    "ALTER TABLE device ADD COLUMN health_reason TEXT",
+    # Counted up by whatever an operator can change; the ETag.
+    "ALTER TABLE device ADD COLUMN version INTEGER NOT NULL DEFAULT 1",
+    "ALTER TABLE sweep ADD COLUMN version INTEGER NOT NULL DEFAULT 1",
+    # What lists show of the document: without the settings' schema, which is long. And what it was built from.
+    "ALTER TABLE device_capabilities ADD COLUMN shown TEXT",
+    "ALTER TABLE device_capabilities ADD COLUMN build TEXT",
+    "CREATE INDEX attempt_device ON attempt (device_id) WHERE state = 'leased'",
+)
+
+AGREEMENT = (
+    # Equal for pictures that every device should render alike; the class within which every bit is the same.
+    "ALTER TABLE result ADD COLUMN picture_key TEXT",
+    "ALTER TABLE result ADD COLUMN render_class TEXT",
+    "CREATE INDEX result_picture ON result (picture_key, render_class)",
+    "CREATE INDEX result_device ON result (device_id, id)",
+    # `agrees` is NULL while the difference is computed.
+    """CREATE TABLE picture_check (
+        id TEXT PRIMARY KEY, result_id TEXT NOT NULL REFERENCES result (id) ON DELETE CASCADE,
+        other_result_id TEXT NOT NULL REFERENCES result (id) ON DELETE CASCADE,
+        device_id TEXT NOT NULL REFERENCES device (id), other_device_id TEXT NOT NULL REFERENCES device (id),
+        same_class INTEGER NOT NULL, agrees INTEGER, p99_jnd REAL,
+        difference_id TEXT REFERENCES image_difference (id) ON DELETE SET NULL,
+        UNIQUE (result_id, other_result_id))""",
+    "CREATE INDEX picture_check_other ON picture_check (other_result_id)",
+    "CREATE INDEX picture_check_difference ON picture_check (difference_id)",
+    "CREATE INDEX picture_check_device ON picture_check (device_id, id) WHERE agrees = 0",
+    "CREATE INDEX picture_check_other_device ON picture_check (other_device_id, id) WHERE agrees = 0",
+    "CREATE INDEX image_difference_test ON image_difference (test_sha256)",
+)
+
+
+@migrations()
+def controls_and_care(db: Database) -> None:
+    """Control runs, metering by job, suspect devices, ETags, and pictures checked across devices."""
+    for statement in (*CONTROLS, *CARE, *AGREEMENT):
+        db.execute(statement)
+    for device_id, text in db.execute("SELECT device_id, document FROM device_capabilities").fetchall():
+        document = json.loads(text)
+        renderer = document.get("renderer")
+        if renderer:
+            renderer.pop("settings_schema", None)
+        build = f"{renderer['name']} {renderer['version']}" if renderer else None
+        db.execute(
+            "UPDATE device_capabilities SET shown = ?, build = ? WHERE device_id = ?",
+            (json.dumps(document), build, device_id),
+        )

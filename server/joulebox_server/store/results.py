@@ -8,9 +8,11 @@ from sqlite_utils import Database
 from joulebox_server.errors import ConflictError, FieldError, InvalidError
 from joulebox_server.schemas.base import Interval
 from joulebox_server.schemas.measure import MeasureDocument
-from joulebox_server.store import blobs, differences, jobs, leases
-from joulebox_server.store.database import Row, row, rows
+from joulebox_server.store import agreement, blobs, differences, jobs, leases
+from joulebox_server.store.database import Row, insert, row, rows
 from joulebox_server.store.ids import canonical, micro, new_id, sha256_text, timestamp, unit
+from joulebox_server.store.jobs import LeaseRules
+from joulebox_server.store.life import Event
 
 Accepted = Literal["ok", "late"]
 BATCH = 500
@@ -29,7 +31,7 @@ def accept(
     attempt_id: str,
     device_id: str,
     document: MeasureDocument,
-    max_attempts: int,
+    rules: LeaseRules,
     now_us: int,
 ) -> tuple[Accepted, bool]:
     """Keep the result of an attempt; returns how it was taken, and whether it is new.
@@ -50,7 +52,16 @@ def accept(
     in_time = attempt["state"] == "leased" and attempt["expires_at_us"] > now_us
     accepted: Accepted = "ok" if in_time else "late"
     result_id = _insert(db, attempt, job, document, body, accepted, now_us)
-    _finish(db, attempt, job, document, max_attempts, result_id)
+    if document.void is None:
+        if job["purpose"] == "control":
+            _insert_control(db, job, result_id)
+        else:
+            differences.request(db, job, result_id)
+        agreement.check(db, job, result_id)
+        jobs.happen(db, Event.RESULT, job, attempt, rules, None, now_us)
+    else:
+        reason = f"the measurement was voided: {document.void}"
+        jobs.happen(db, Event.VOID, job, attempt, rules, reason, now_us)
     return accepted, True
 
 
@@ -76,7 +87,9 @@ def _insert(
 ) -> str:
     result_id = new_id()
     time_s, energy_j = document.time_s_per_image, document.energy_j_per_image.gross
-    db.table("result").insert(
+    insert(
+        db,
+        "result",
         {
             "id": result_id,
             "attempt_id": attempt["id"],
@@ -102,39 +115,59 @@ def _insert(
             "image_sha256": document.image_blob,
             "samples_sha256": document.power_samples,
             "received_at_us": now_us,
-        }
+            "picture_key": agreement.picture_key(job),
+            "render_class": agreement.render_class(db, attempt["device_id"], document),
+        },
     )
     _insert_stages(db, result_id, document)
     return result_id
 
 
 def _insert_stages(db: Database, result_id: str, document: MeasureDocument) -> None:
-    db.table("stage").insert_all(
-        {
-            "result_id": result_id,
-            "name": name,
-            "time_us": micro(stage.time_s),
-            "cpu_us": micro(stage.cpu_s),
-            "rays": None if stage.rays is None else round(stage.rays),
-            "energy_uj": micro(stage.energy_j.equation_2),
-        }
-        for name, stage in document.stages.items()
+    db.conn.executemany(
+        "INSERT INTO stage (result_id, name, time_us, cpu_us, rays, energy_uj) VALUES (?, ?, ?, ?, ?, ?)",
+        [
+            (
+                result_id,
+                name,
+                micro(stage.time_s),
+                micro(stage.cpu_s),
+                None if stage.rays is None else round(stage.rays),
+                micro(stage.energy_j.equation_2),
+            )
+            for name, stage in document.stages.items()
+        ],
     )
 
 
-def _finish(db: Database, attempt: Row, job: Row, document: MeasureDocument, max_attempts: int, result_id: str) -> None:
-    """What a result means for its job: done, or to be measured again when it was voided."""
-    held = attempt["state"] == "leased"
-    leases.finish(db, attempt["id"])
-    if document.void is None:
-        differences.request(db, job, result_id)
-        # A late result also answers a job that waits in the queue again, or that was given up.
-        if held or job["state"] in ("queued", "failed"):
-            jobs.set_state(db, job, "done", None)
-        else:
-            jobs.set_state(db, job, job["state"], job["reason"])
-    elif held:
-        jobs.spend_attempt(db, job, f"the measurement was voided: {document.void}", max_attempts)
+def _insert_control(db: Database, job: Row, result_id: str) -> None:
+    """Keep how far a control run is from the first of its scene and device."""
+    runs = rows(
+        db,
+        """SELECT result.id, time_us, energy_uj FROM result JOIN job ON job.id = result.job_id
+        WHERE job.target_id = ? AND job.sweep_scene_id = ? AND job.purpose = 'control' AND result.void IS NULL
+        AND (result.id = ? OR result.id = (SELECT min(r.id) FROM result AS r JOIN job AS j ON j.id = r.job_id
+            WHERE j.target_id = job.target_id AND j.sweep_scene_id = job.sweep_scene_id
+            AND j.purpose = 'control' AND r.void IS NULL)) ORDER BY result.id""",
+        (job["target_id"], job["sweep_scene_id"], result_id),
+    )
+    first, own = runs[0], runs[-1]
+    if not first["time_us"]:
+        return  # nothing to compare with
+    energy = own["energy_uj"] / first["energy_uj"] if own["energy_uj"] is not None and first["energy_uj"] else None
+    db.execute(
+        """INSERT INTO control_run (result_id, sweep_id, target_id, sweep_scene_id, block, time_ratio, energy_ratio)
+        VALUES (?, ?, ?, ?, ?, ?, ?)""",
+        (
+            result_id,
+            job["sweep_id"],
+            job["target_id"],
+            job["sweep_scene_id"],
+            job["block"],
+            own["time_us"] / first["time_us"],
+            energy,
+        ),
+    )
 
 
 def interval(found: Row, quantity: Literal["time", "energy"]) -> Interval | None:

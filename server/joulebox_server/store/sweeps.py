@@ -8,12 +8,12 @@ from sqlite_utils import Database
 
 from joulebox_server.errors import ConflictError, NotFoundError
 from joulebox_server.schemas.sweep import SweepDefinition
-from joulebox_server.store import blobs, devices, events, scenes
-from joulebox_server.store.database import Row, number, row, rows
+from joulebox_server.store import blobs, devices, events, life, scenes
+from joulebox_server.store.database import Row, check_match, number, row, rows
 from joulebox_server.store.ids import canonical, new_id, now_us, sha256_text, timestamp
+from joulebox_server.store.life import JOB_STATES, Event
 from joulebox_server.sweeps.expansion import Configuration, configurations, plan_jobs, reference_configuration
 
-JOB_STATES = ("queued", "leased", "done", "failed", "cancelled")
 ENDED = ("cancelled", "done", "failed")
 Action = Literal["pause", "resume", "cancel"]
 
@@ -37,7 +37,7 @@ def create(db: Database, definition: SweepDefinition) -> str:
         for job in jobs:
             db.execute(
                 """INSERT INTO job (id, sweep_id, target_id, sweep_scene_id, configuration_id, purpose, repeat,
-                seed, block, position, state) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, 'queued')""",
+                seed, block, position, metered, state) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, 'queued')""",
                 (
                     new_id(),
                     sweep_id,
@@ -49,6 +49,7 @@ def create(db: Database, definition: SweepDefinition) -> str:
                     job.seed,
                     job.block,
                     job.position,
+                    job.metered,
                 ),
             )
     _announce(db, sweep_id, "running")
@@ -147,6 +148,26 @@ def target_devices(db: Database, sweep_id: str) -> list[Row]:
     )
 
 
+def controls(db: Database, sweep_id: str) -> list[dict[str, Any]]:
+    """The control runs of each scene and device, each beside the first: how far the device drifted."""
+    found = rows(
+        db,
+        """SELECT label, device.name AS device, time_ratio, energy_ratio FROM control_run
+        JOIN sweep_scene ON sweep_scene.id = sweep_scene_id JOIN target ON target.id = control_run.target_id
+        JOIN device ON device.id = target.device_id
+        WHERE control_run.sweep_id = ? ORDER BY target.position, sweep_scene.position, control_run.result_id""",
+        (sweep_id,),
+    )
+    series: dict[tuple[str, str], dict[str, Any]] = {}
+    for run in found:
+        key = (str(run["label"]), str(run["device"]))
+        empty = {"scene": key[0], "device": key[1], "time_ratios": [], "energy_ratios": []}
+        own = series.setdefault(key, empty)
+        own["time_ratios"].append(run["time_ratio"])
+        own["energy_ratios"].append(run["energy_ratio"])
+    return list(series.values())
+
+
 def pending_differences(db: Database, sweep_id: str) -> int:
     """Comparisons of a sweep that are not finished."""
     return number(
@@ -157,14 +178,18 @@ def pending_differences(db: Database, sweep_id: str) -> int:
     )
 
 
-def act(db: Database, key: str, action: Action) -> str:
-    """Pause, resume or cancel; returns the id. Raises ConflictError when the sweep has ended."""
+def act(db: Database, key: str, action: Action, wanted: str | None = None) -> str:
+    """Pause, resume or cancel; returns the id. Raises ConflictError when the sweep has ended.
+
+    wanted  the If-Match header: PreconditionError unless it names the sweep's state
+    """
     sweep = find(db, key)
+    check_match(wanted, sweep["version"], f"the sweep {sweep['name']!r}")
     sweep_id, state = str(sweep["id"]), sweep["state"]
     if state in ENDED:
         raise ConflictError(f"the sweep {sweep['name']!r} is {state}; it can no longer be {_past(action)}")
     if action == "cancel":
-        db.execute("UPDATE job SET state = 'cancelled' WHERE sweep_id = ? AND state = 'queued'", (sweep_id,))
+        _move_jobs(db, sweep_id, Event.CANCEL)
     wanted = {"pause": "paused", "resume": "running", "cancel": "cancelled"}[action]
     if wanted != state:
         _set_state(db, sweep_id, wanted)
@@ -176,17 +201,33 @@ def retry_failed(db: Database, key: str) -> tuple[str, int]:
     """Queue every failed job of a sweep again, with all its attempts; returns id and how many."""
     sweep = find(db, key)
     sweep_id = str(sweep["id"])
+    count = number(db, "SELECT count(*) FROM job WHERE sweep_id = ? AND state = 'failed'", (sweep_id,))
+    if count or sweep["state"] == "cancelled":
+        reopen(db, sweep_id)
+        db.execute(
+            "UPDATE job SET attempts = 0, not_before_us = 0 WHERE sweep_id = ? AND state = 'failed'", (sweep_id,)
+        )
+        _move_jobs(db, sweep_id, Event.RETRY)
+    return sweep_id, count
+
+
+def reopen(db: Database, sweep_id: str) -> None:
+    """Let an ended sweep run again, because of jobs to be retried. Raises ConflictError when it was cancelled."""
+    sweep = find(db, sweep_id)
     if sweep["state"] == "cancelled":
         raise ConflictError(f"the sweep {sweep['name']!r} is cancelled; submit it again instead")
-    count = number(db, "SELECT count(*) FROM job WHERE sweep_id = ? AND state = 'failed'", (sweep_id,))
-    db.execute(
-        """UPDATE job SET state = 'queued', attempts = 0, not_before_us = 0, reason = NULL
-        WHERE sweep_id = ? AND state = 'failed'""",
-        (sweep_id,),
-    )
-    if count and sweep["state"] in ENDED:
+    if sweep["state"] in ENDED:
         _set_state(db, sweep_id, "running")
-    return sweep_id, count
+
+
+def _move_jobs(db: Database, sweep_id: str, event: Event) -> None:
+    """Let an event that is about no attempt happen to all jobs of a sweep at once."""
+    for state in JOB_STATES:
+        step = life.step(event, state, None)
+        if step.job is not None:
+            db.execute(
+                "UPDATE job SET state = ?, reason = NULL WHERE sweep_id = ? AND state = ?", (step.job, sweep_id, state)
+            )
 
 
 def settle(db: Database, sweep_id: str) -> None:
@@ -212,22 +253,23 @@ def delete(db: Database, blob_dir: Path, key: str) -> int:
     sweep_id = str(sweep["id"])
     if number(db, "SELECT count(*) FROM job WHERE sweep_id = ? AND state = 'leased'", (sweep_id,)):
         raise ConflictError(f"devices are measuring jobs of {sweep['name']!r}; cancel it and wait for them")
-    images = rows(db, "SELECT image_sha256, samples_sha256 FROM result WHERE sweep_id = ?", (sweep_id,))
-    compared = rows(db, "SELECT DISTINCT difference_id AS id FROM comparison WHERE sweep_id = ?", (sweep_id,))
+    found = rows(db, "SELECT image_sha256, samples_sha256 FROM result WHERE sweep_id = ?", (sweep_id,))
+    images = {str(result["image_sha256"]) for result in found if result["image_sha256"]}
     db.execute("DELETE FROM sweep WHERE id = ?", (sweep_id,))
-    candidates = [blob for found in images for blob in found.values()]
-    for found in compared:
-        unused = row(
-            db,
-            """SELECT delta_sha256 FROM image_difference AS d WHERE id = ?
-            AND NOT EXISTS (SELECT 1 FROM comparison WHERE difference_id = d.id)""",
-            (found["id"],),
-        )
-        if unused:
-            db.execute("DELETE FROM image_difference WHERE id = ?", (found["id"],))
-            candidates.append(unused["delta_sha256"])
+    candidates = images | {str(result["samples_sha256"]) for result in found if result["samples_sha256"]}
+    for image in images:
+        if not number(db, "SELECT EXISTS (SELECT 1 FROM result WHERE image_sha256 = ?)", (image,)):
+            candidates |= _forget_differences(db, image)
     events.add(db, "sweep", sweep_id, {"state": "deleted"})
     return blobs.discard(db, blob_dir, candidates)
+
+
+def _forget_differences(db: Database, image: str) -> set[str]:
+    """Forget every difference of a picture that is no result any more; returns their delta images."""
+    which = "reference_sha256 = ? OR test_sha256 = ?"
+    deltas = rows(db, f"SELECT delta_sha256 FROM image_difference WHERE {which}", (image, image))
+    db.execute(f"DELETE FROM image_difference WHERE {which}", (image, image))
+    return {str(found["delta_sha256"]) for found in deltas if found["delta_sha256"]}
 
 
 def definition_of(sweep: Row) -> SweepDefinition:
@@ -236,7 +278,7 @@ def definition_of(sweep: Row) -> SweepDefinition:
 
 
 def _set_state(db: Database, sweep_id: str, state: str) -> None:
-    db.execute("UPDATE sweep SET state = ? WHERE id = ?", (state, sweep_id))
+    db.execute("UPDATE sweep SET state = ?, version = version + 1 WHERE id = ?", (state, sweep_id))
     _announce(db, sweep_id, state)
 
 

@@ -8,7 +8,7 @@ from jsonschema import Draft202012Validator
 from jsonschema.exceptions import SchemaError, ValidationError, best_match
 
 from joulebox_server.errors import FieldError
-from joulebox_server.schemas.sweep import SweepDefinition
+from joulebox_server.schemas.sweep import Range, SweepDefinition
 
 PRESET = "preset"
 DEFINITIONS = ("$defs", "definitions")
@@ -58,6 +58,10 @@ def _given(definition: SweepDefinition) -> Iterator[tuple[str, str, Any]]:
     for name, value in definition.settings.items():
         yield f"settings.{name}", name, value
     for axis, values in definition.axes.items():
+        if isinstance(values, Range):
+            yield f"axes.{axis}.low", axis, values.low
+            yield f"axes.{axis}.high", axis, values.high
+            continue
         for position, value in enumerate(values):
             yield f"axes.{axis}[{position}]", axis, value
     for position, settings in enumerate(definition.configurations):

@@ -6,14 +6,15 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any, Literal
 
-from joulebox_server.schemas.sweep import SweepDefinition
+from joulebox_server.schemas.sweep import DRAWN, SweepDefinition
 from joulebox_server.store.ids import canonical
+from joulebox_server.sweeps.drawing import drawn
 
 REFERENCE_SEED_STEP = 1000
 NOISE_FLOOR_SEED_STEP = 2000
 FILM = ("width", "height")
 
-Purpose = Literal["measure", "reference", "noise_floor"]
+Purpose = Literal["measure", "reference", "noise_floor", "control"]
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class PlannedJob:
     """One job for one device: `scene` and `configuration` are positions in the sweep's lists.
 
     `block` and `position` order the jobs of a device; the reference and its noise floor come before block 0,
-    so that differences can be seen while the sweep runs.
+    so that differences can be seen while the sweep runs. One that is not `metered` is timed only.
     """
 
     purpose: Purpose
@@ -44,6 +45,7 @@ class PlannedJob:
     seed: int
     block: int
     position: int
+    metered: bool
 
 
 def configurations(definition: SweepDefinition) -> list[Configuration]:
@@ -70,7 +72,9 @@ def configuration_count(definition: SweepDefinition) -> int:
     """How many configurations there are at most, without making them."""
     if definition.rule == "list":
         return len(definition.configurations)
-    lengths = [len(values) for values in definition.axes.values()]
+    if definition.rule in DRAWN:
+        return definition.samples or 0
+    lengths = [len(values) for values in definition.axes.values() if isinstance(values, list)]
     if definition.rule == "one_at_a_time":
         return 1 + sum(lengths)
     count = 1
@@ -84,19 +88,79 @@ def plan_jobs(
 ) -> list[PlannedJob]:
     """All jobs of one device; `order_key` seeds the order, so that each device has its own and can repeat it.
 
-    `configuration` counts through `measured`; the reference's is `len(measured)`.
+    `configuration` counts through `measured`; the reference's is `len(measured)`. A control run is the first
+    configuration once more; they lie at equal distances in their block, one at its beginning.
     """
     jobs = list(_reference_jobs(definition, len(measured), _seed(reference)))
     shuffle = random.Random(order_key)
+    metered = metered_configurations(definition, measured)
     for repeat in range(definition.repeats):
         block = [
             (scene, configuration) for scene in range(len(definition.scenes)) for configuration in range(len(measured))
         ]
         shuffle.shuffle(block)
-        for position, (scene, configuration) in enumerate(block):
-            seed = _seed(measured[configuration]) + repeat
-            jobs.append(PlannedJob("measure", scene, configuration, repeat, seed, repeat, position))
+        mixed: list[tuple[Purpose, int, int, int]] = [("measure", *entry, repeat) for entry in block]
+        for place, control in reversed(list(_controls(definition, repeat, len(block)))):
+            mixed.insert(place, control)
+        for position, (purpose, scene, configuration, number) in enumerate(mixed):
+            seed = _seed(measured[configuration]) + (repeat if purpose == "measure" else 0)
+            joules = purpose == "control" or (configuration in metered and (repeat == 0 or not _few(definition)))
+            jobs.append(PlannedJob(purpose, scene, configuration, number, seed, repeat, position, joules))
     return jobs
+
+
+def metered_configurations(definition: SweepDefinition, measured: list[Configuration]) -> set[int]:
+    """Positions of the configurations whose joules are measured; with `meter = "few"` those least alike.
+
+    Each next one is the farthest from all before, settings taken by their rank: stage powers are fitted on what
+    differs most. At least two, so that there is something to fit.
+    """
+    if not _few(definition):
+        return set(range(len(measured)))
+    rules = definition.measure
+    wanted = min(len(measured), max(2, -(-rules.metered_windows // rules.min_windows)))
+    points = _ranks(measured)
+    chosen = [0]
+    distances = [_apart(points[0], point) for point in points]
+    while len(chosen) < wanted:
+        chosen.append(max(range(len(points)), key=distances.__getitem__))
+        distances = [min(old, _apart(points[chosen[-1]], point)) for old, point in zip(distances, points, strict=True)]
+        distances[chosen[-1]] = -1.0
+    return set(chosen)
+
+
+def _few(definition: SweepDefinition) -> bool:
+    return definition.measure.meter == "few"
+
+
+def _ranks(measured: list[Configuration]) -> list[list[float]]:
+    """Each configuration as a point: a coordinate from 0 to 1 for each setting that varies."""
+    names = list(dict.fromkeys(name for configuration in measured for name in configuration.changed))
+    columns = []
+    for name in names:
+        values = [configuration.settings.get(name) for configuration in measured]
+        order = {value: rank for rank, value in enumerate(sorted(set(values), key=_sorting))}
+        columns.append([order[value] / max(1, len(order) - 1) for value in values])
+    return [list(point) for point in zip(*columns, strict=True)] if columns else [[] for _ in measured]
+
+
+def _sorting(value: Any) -> tuple[int, float, str]:
+    number = isinstance(value, int | float)
+    return (0, float(value), "") if number else (1, 0.0, str(value))
+
+
+def _apart(one: list[float], other: list[float]) -> float:
+    return sum((a - b) ** 2 for a, b in zip(one, other, strict=True))
+
+
+def _controls(
+    definition: SweepDefinition, block: int, length: int
+) -> Iterator[tuple[int, tuple[Purpose, int, int, int]]]:
+    """(place in the block before which it comes, control run), in order of place."""
+    count = definition.controls
+    for index in range(count):
+        for scene in range(len(definition.scenes)):
+            yield index * length // count, ("control", scene, 0, block * count + index)
 
 
 def _reference_jobs(definition: SweepDefinition, configuration: int, seed: int) -> Iterator[PlannedJob]:
@@ -104,8 +168,9 @@ def _reference_jobs(definition: SweepDefinition, configuration: int, seed: int) 
     for scene in range(len(definition.scenes)):
         for repeat in range(definition.repeats if same else 1):
             own = seed + repeat if same else seed + REFERENCE_SEED_STEP
-            yield PlannedJob("reference", scene, configuration, repeat, own, -1, scene)
-        yield PlannedJob("noise_floor", scene, configuration, 0, seed + NOISE_FLOOR_SEED_STEP, -1, scene)
+            yield PlannedJob("reference", scene, configuration, repeat, own, -1, scene, metered=True)
+        floor_seed = seed + NOISE_FLOOR_SEED_STEP
+        yield PlannedJob("noise_floor", scene, configuration, 0, floor_seed, -1, scene, metered=False)
 
 
 def _seed(configuration: Configuration) -> int:
@@ -122,10 +187,17 @@ def _changes(definition: SweepDefinition) -> Iterator[dict[str, Any]]:
     if definition.rule == "list":
         yield from definition.configurations
     elif definition.rule == "grid":
-        for values in product(*definition.axes.values()):
+        for values in product(*_lists(definition).values()):
             yield dict(zip(definition.axes, values, strict=True))
+    elif definition.rule in DRAWN:
+        yield from drawn(definition)
     else:
         yield {}
-        for axis, axis_values in definition.axes.items():
+        for axis, axis_values in _lists(definition).items():
             for value in axis_values:
                 yield {axis: value}
+
+
+def _lists(definition: SweepDefinition) -> dict[str, list[Any]]:
+    """The axes of a rule that takes no ranges."""
+    return {axis: values for axis, values in definition.axes.items() if isinstance(values, list)}
