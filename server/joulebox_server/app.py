@@ -15,7 +15,18 @@ from joulebox_server.limits import BodyLimit
 from joulebox_server.metrics import RequestCounter, StoreCollector
 from joulebox_server.pages import mount_pages
 from joulebox_server.problems import add_problem_handlers
-from joulebox_server.routes import blobs, devices, events, findings, health, pictures, scenes, sweeps, work
+from joulebox_server.routes import (
+    blobs,
+    devices,
+    events,
+    findings,
+    health,
+    pictures,
+    recommendation,
+    scenes,
+    sweeps,
+    work,
+)
 from joulebox_server.services import Services
 from joulebox_server.settings import ServerSettings
 from joulebox_server.store import Store
@@ -55,7 +66,7 @@ def create_app(
     app.add_middleware(RequestCounter, registry=registry)
     add_problem_handlers(app)
     versioned = APIRouter(prefix="/v1")
-    for part in (devices, scenes, sweeps, work, blobs, findings, pictures, events):
+    for part in (devices, scenes, sweeps, work, blobs, findings, recommendation, pictures, events):
         versioned.include_router(part.router)
     app.include_router(versioned)
     app.include_router(health.router)

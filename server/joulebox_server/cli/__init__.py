@@ -8,6 +8,8 @@ from joulebox_server import __version__
 from joulebox_server.analysis.errors import AnalysisError
 from joulebox_server.cli import data, device, findings, sweep
 from joulebox_server.cli.diff import diff
+from joulebox_server.cli.recommend import recommend
+from joulebox_server.cli.recompute import recompute
 from joulebox_server.cli.serve import serve
 from joulebox_server.errors import InvalidError, ServerError
 
@@ -32,7 +34,7 @@ def build() -> typer.Typer:
     ) -> None:
         """What a picture costs in joules, and which settings give the best one for a budget."""
 
-    for command in (serve, findings.recommend, findings.tradeoff, findings.export, data.backup, data.gc, diff):
+    for command in (serve, recommend, findings.tradeoff, findings.export, data.backup, data.gc, diff, recompute):
         app.command()(command)
     app.add_typer(sweep.app, name="sweep")
     app.add_typer(device.app, name="device")

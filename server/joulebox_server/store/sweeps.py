@@ -28,10 +28,10 @@ def create(db: Database, definition: SweepDefinition) -> str:
     scene_ids = [_add_scene(db, sweep_id, definition, position) for position in range(len(definition.scenes))]
     measured, reference = configurations(definition), reference_configuration(definition)
     configuration_ids = [
-        _add_configuration(db, sweep_id, configuration, "measure", position)
+        add_configuration(db, sweep_id, configuration, "measure", position)
         for position, configuration in enumerate(measured)
     ]
-    configuration_ids.append(_add_configuration(db, sweep_id, reference, "reference", -1))
+    configuration_ids.append(add_configuration(db, sweep_id, reference, "reference", -1))
     for position, target_id in enumerate(_add_targets(db, sweep_id, definition)):
         jobs = plan_jobs(definition, measured, reference, f"{sweep_id}/{position}")
         for job in jobs:
@@ -65,7 +65,8 @@ def _add_scene(db: Database, sweep_id: str, definition: SweepDefinition, positio
     return entry_id
 
 
-def _add_configuration(db: Database, sweep_id: str, configuration: Configuration, purpose: str, position: int) -> str:
+def add_configuration(db: Database, sweep_id: str, configuration: Configuration, purpose: str, position: int) -> str:
+    """Make a configuration one of a sweep's, once; returns its id."""
     digest = sha256_text(configuration.key)
     db.execute(
         "INSERT INTO configuration (id, sha256, settings) VALUES (?, ?, ?) ON CONFLICT (sha256) DO NOTHING",
@@ -75,7 +76,7 @@ def _add_configuration(db: Database, sweep_id: str, configuration: Configuration
     assert found is not None
     db.execute(
         """INSERT INTO sweep_configuration (sweep_id, configuration_id, purpose, changed, position)
-        VALUES (?, ?, ?, ?, ?)""",
+        VALUES (?, ?, ?, ?, ?) ON CONFLICT DO NOTHING""",
         (sweep_id, found["id"], purpose, canonical(configuration.changed), position),
     )
     return str(found["id"])
@@ -206,6 +207,12 @@ def settle(db: Database, sweep_id: str) -> None:
     _set_state(db, sweep_id, "failed" if failed else "done")
 
 
+def reopen(db: Database, sweep: Row) -> None:
+    """Let a sweep that ended run on: jobs were added to it."""
+    if sweep["state"] in ENDED:
+        _set_state(db, str(sweep["id"]), "running")
+
+
 def delete(db: Database, blob_dir: Path, key: str) -> int:
     """Remove a sweep with its results, and the blobs that only it used; returns how many blobs."""
     sweep = find(db, key)
@@ -213,21 +220,32 @@ def delete(db: Database, blob_dir: Path, key: str) -> int:
     if number(db, "SELECT count(*) FROM job WHERE sweep_id = ? AND state = 'leased'", (sweep_id,)):
         raise ConflictError(f"devices are measuring jobs of {sweep['name']!r}; cancel it and wait for them")
     images = rows(db, "SELECT image_sha256, samples_sha256 FROM result WHERE sweep_id = ?", (sweep_id,))
-    compared = rows(db, "SELECT DISTINCT difference_id AS id FROM comparison WHERE sweep_id = ?", (sweep_id,))
+    compared = rows(
+        db,
+        """SELECT DISTINCT d.reference_sha256, d.test_sha256 FROM comparison
+        JOIN image_difference AS d ON d.id = comparison.difference_id WHERE comparison.sweep_id = ?""",
+        (sweep_id,),
+    )
     db.execute("DELETE FROM sweep WHERE id = ?", (sweep_id,))
     candidates = [blob for found in images for blob in found.values()]
-    for found in compared:
-        unused = row(
-            db,
-            """SELECT delta_sha256 FROM image_difference AS d WHERE id = ?
-            AND NOT EXISTS (SELECT 1 FROM comparison WHERE difference_id = d.id)""",
-            (found["id"],),
-        )
-        if unused:
-            db.execute("DELETE FROM image_difference WHERE id = ?", (found["id"],))
-            candidates.append(unused["delta_sha256"])
+    for pair in compared:
+        candidates += _forget_differences(db, pair["reference_sha256"], pair["test_sha256"])
     events.add(db, "sweep", sweep_id, {"state": "deleted"})
     return blobs.discard(db, blob_dir, candidates)
+
+
+def _forget_differences(db: Database, reference_sha256: str, test_sha256: str) -> list[str | None]:
+    """Remove the differences of a pair, of all versions, that no other sweep compares; returns their delta images."""
+    unused = rows(
+        db,
+        """SELECT id, delta_sha256 FROM image_difference AS d WHERE reference_sha256 = ? AND test_sha256 = ?
+        AND NOT EXISTS (SELECT 1 FROM comparison JOIN image_difference AS other ON other.id = comparison.difference_id
+        WHERE other.reference_sha256 = d.reference_sha256 AND other.test_sha256 = d.test_sha256)""",
+        (reference_sha256, test_sha256),
+    )
+    for difference in unused:
+        db.execute("DELETE FROM image_difference WHERE id = ?", (difference["id"],))
+    return [difference["delta_sha256"] for difference in unused]
 
 
 def definition_of(sweep: Row) -> SweepDefinition:
