@@ -28,7 +28,7 @@ def read_plain_ply(data: bytes) -> MeshFile | None:
 
     Raises nothing: where anything is not as it should be, another reader shall tell.
     """
-    head, mark, body = data[:LONGEST_HEADER].partition(b"end_header\n")
+    head, mark, _ = data[:LONGEST_HEADER].partition(b"end_header\n")
     lines = [line for line in head.decode("latin-1").splitlines() if not line.startswith(("comment", "obj_info"))]
     words = [line.split() for line in lines]
     if not mark or len(lines) < 5 or lines[0] != "ply" or len(words[1]) != 3 or words[1][1] not in BYTE_ORDERS:
@@ -37,8 +37,9 @@ def read_plain_ply(data: bytes) -> MeshFile | None:
     columns = [row[1:] for row in words[3:-2] if len(row) == 3 and row[0] == "property" and row[1] in TYPES]
     listed = FACES.fullmatch(lines[-1])
     plain = (
-        words[2][:2] == ["element", "vertex"] and words[-2][:2] == ["element", "face"] and len(columns) == len(words) - 5
-        and all(len(row) == 2 and row[1].isdecimal() for row in counts)
+        words[2][:2] == ["element", "vertex"] and words[-2][:2] == ["element", "face"]
+        and len(columns) == len(words) - 5
+        and all(len(row) == 2 and row[1].isdecimal() and len(row[1]) < 19 for row in counts)
         and listed is not None and set(listed.groups()) <= TYPES.keys()
     )  # fmt: skip
     names = [name for _, name in columns]

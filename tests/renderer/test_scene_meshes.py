@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from joulebox_render import meshes
+from joulebox_render.mesh_ply import read_plain_ply
 from joulebox_render.scene import load_scene
 from scene_files import FIRST_LINE, LAMP, SENSOR, load, message, shape
 
@@ -103,6 +105,40 @@ def test_good_meshes_are_good(tmp_path: Path) -> None:
         body = shape('<string name="filename" value="mesh.ply"/>', "ply")
         (tmp_path / "scene.xml").write_text(f'<scene version="3.0.0">{SENSOR}{LAMP}{body}</scene>')
         assert len(load_scene(tmp_path).triangles) == 1
+
+
+RICH = BINARY.replace(b"little", b"big").split(b"end_header")[0].replace(
+    b"property float z\n",
+    b"property float z\nproperty float nx\nproperty float ny\nproperty double nz\nproperty uchar red\ncomment x\n",
+).replace(b"uchar int vertex_indices", b"ushort uint vertex_index") + b"end_header\n" + b"".join(
+    struct.pack(">5fdB", *corner, 0.6, 0, 0.8, 7) for corner in ((0, 0, 0), (1, 0, 0), (0, 1, 2))
+) + struct.pack(">H3I", 3, 2, 0, 1)  # fmt: skip
+
+
+@pytest.mark.parametrize("data", [BINARY, RICH])
+def test_plain_files_are_read_as_trimesh_reads_them(data: bytes) -> None:
+    ours, theirs = read_plain_ply(data), meshes._read_ply(data)
+    assert ours is not None
+    np.testing.assert_array_equal(ours.vertices, theirs.vertices)
+    np.testing.assert_array_equal(ours.faces, theirs.faces)
+    assert (ours.normals is None) == (theirs.normals is None) == (data is BINARY)
+    if ours.normals is not None and theirs.normals is not None:
+        np.testing.assert_array_equal(ours.normals, theirs.normals)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"", TEXT + b"0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n", BINARY[:-1], BINARY + b"x",
+        BINARY.replace(b"\x03\x00\x00\x00\x00\x01", b"\x04\x00\x00\x00\x00\x01"),
+        BINARY.replace(b"float z", b"float w"), BINARY.replace(b"float x", b"half x"),
+        BINARY.replace(b"ply", b"plY", 1),
+        BINARY.replace(b"vertex 3", b"vertex " + b"9" * 5000), BINARY.replace(b"uchar int", b"uchar string"),
+        BINARY.replace(b"element face", b"element edge 0\nelement face"), BINARY.replace(b"float y", b"float x"),
+    ],
+)  # fmt: skip
+def test_whatever_is_not_plain_is_left_to_trimesh(data: bytes) -> None:
+    assert read_plain_ply(data) is None
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from joulebox_render.kernels.lighting import emit_photons
 from joulebox_render.kernels.photons import scatter
 from joulebox_render.kernels.rng import path_key
 from joulebox_render.pool import WorkerPool
-from joulebox_render.records import F4, I4, U1, Aim, Photons, Rays, Scratch, Tree, rows
+from joulebox_render.records import F4, I1, I4, U1, Aim, Photons, Rays, Scratch, Tree, rows
 from joulebox_render.stages.aim import aim_at_specular, aim_everywhere
 from joulebox_render.stages.context import Context
 
@@ -154,7 +154,7 @@ def build_photon_map(photons: Photons, emitted: int, wanted: int, pool: WorkerPo
     return PhotonMap(tree, flux, wi, history, order, len(photons.number), emitted, len(photons.number) >= wanted)
 
 
-def grow_tree(position: F4, normal: F4, pool: WorkerPool | None = None) -> tuple[Tree, I4]:
+def grow_tree(position: F4, normal: F4, pool: WorkerPool | None = None) -> tuple[Tree, np.ndarray]:
     """A kd-tree over points and the order (N,) that its arrays list them in; subtrees grow on the pool's threads."""
     count = len(position)
     order = np.arange(count, dtype=np.int32)
@@ -168,18 +168,24 @@ def grow_tree(position: F4, normal: F4, pool: WorkerPool | None = None) -> tuple
     # Level by level while there are few subtrees, then each to its leaves.
     spans, shared = [(0, count)] if count else [], min(depth, SHARED_LEVELS)
     for level in range(shared + 1):
-        first_node, levels = len(spans) - 1, depth if level == shared else 1
-
-        def grow(first: int, last: int) -> None:
-            for i in range(first, last):
-                build_tree(columns, order, axis, plane, first_node + i, *spans[i], levels, Scratch.empty(1))  # noqa: B023
-
-        if pool is None:
-            grow(0, len(spans))
-        else:
-            list(pool.map_chunks(grow, len(spans), pool.chunk_rays))
+        _grow_level(pool, columns, order, axis, plane, spans, depth if level == shared else 1)
         spans = [half for low, high in spans for half in ((low, (low + high) // 2), ((low + high) // 2, high))]
     return Tree(position.take(order, axis=0), normal.take(order, axis=0), axis, plane), order
+
+
+def _grow_level(
+    pool: WorkerPool | None, columns: F4, order: I4, axis: I1, plane: F4, spans: list[tuple[int, int]], levels: int
+) -> None:
+    """Grow `levels` levels of the subtrees over `spans` of the order, which are all nodes of one level."""
+
+    def grow(first: int, last: int) -> None:
+        for i in range(first, last):
+            build_tree(columns, order, axis, plane, len(spans) - 1 + i, *spans[i], levels, Scratch.empty(1))
+
+    if pool is None:
+        grow(0, len(spans))
+    else:
+        list(pool.map_chunks(grow, len(spans), pool.chunk_rays))
 
 
 def _trace_round(
@@ -222,7 +228,7 @@ def trace_photons(
     # In as few bits as will do: numpy sorts 16 and fewer in linear time.
     number = (photons.number - first_number).astype(np.min_scalar_type(count))
     order = np.argsort(number, kind="stable")
-    return Photons(*(column.take(order, axis=0) for column in photons))
+    return Photons(*rows(photons, order))
 
 
 def _join(parts: list[Photons]) -> Photons:
