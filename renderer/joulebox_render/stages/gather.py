@@ -25,7 +25,7 @@ MAX_PATH_BOUNCES = 1000
 # A gather ray's stretches shorter than the photon map's resolution that are gathered again before it is asked.
 MOST_SHORT = 8
 # Chunks whose gathers are made as one.
-MOST_TOGETHER = 4
+MOST_TOGETHER = 8
 
 
 def final_gather(context: Context, light: Illumination, points: Points, count: int) -> F8:
