@@ -1,13 +1,15 @@
-"""What the renderer's tests share: scenes from a few lines of XML, renderings, and z-scores."""
+"""What the renderer's tests share: scenes from a few lines of XML, renderings, its command, and z-scores."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from joulebox_render import cli
 from joulebox_render.session import Image, Session
 from joulebox_render.settings import make_settings
 from plain_settings import PLAIN
@@ -62,6 +64,24 @@ def open_session() -> Iterator[Callable[..., Session]]:
 def render(open_session: Callable[..., Session]) -> Callable[..., Image]:
     """render(scene, ...) as open_session, and one image of it."""
     return lambda scene, **how: open_session(scene, **how).render()
+
+
+@pytest.fixture
+def call(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Callable[..., Any]:
+    """call(*arguments) -> (exit code, stdout, stderr), in this process: no second start of Python."""
+
+    def call_(*arguments: str | Path) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["joulebox-render", *map(str, arguments)])
+        capfd.readouterr()
+        code = 0
+        try:
+            cli.main()
+        except SystemExit as end:
+            code = int(end.code or 0)
+        out, err = capfd.readouterr()
+        return code, out, err
+
+    return call_
 
 
 @pytest.fixture

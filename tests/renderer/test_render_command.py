@@ -1,13 +1,9 @@
-"""The command: documents it writes, lines it speaks, and how it refuses."""
+"""The command: documents it writes, and how it refuses; the lines of `loop` are in test_loop_command."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import os
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -15,55 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from joulebox_render import __version__, cli
+from command_line import QUICK, refused, run
+from joulebox_render import __version__
 from joulebox_render.images import read_exr
 from joulebox_render.scene import list_scenes
 from joulebox_render.settings import make_settings, settings_schema
 
-COMMAND = [sys.executable, "-c", "from joulebox_render.cli import main; main()"]
-QUICK = [
-    "--set", "width=16", "--set", "height=12", "--set", "global_photons=2000", "--set", "caustic_photons=300",
-    "--set", "final_gather_rays=8", "--set", "shadow_rays=4", "--set", "samples_per_pixel=1",
-]  # fmt: skip
 STAGES = {"photon_map", "precomputed_irradiance", "direct", "indirect", "caustics"}
-
-
-def run(*arguments: str | Path, timeout_s: float = 120) -> subprocess.CompletedProcess[str]:
-    """The command in a process of its own, as a user's shell would start it."""
-    return subprocess.run(
-        [*COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=timeout_s, check=False
-    )
-
-
-@pytest.fixture
-def call(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Callable[..., Any]:
-    """call(*arguments) -> (exit code, stdout, stderr), in this process: no second start of Python."""
-
-    def call_(*arguments: str | Path) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["joulebox-render", *map(str, arguments)])
-        capfd.readouterr()
-        code = 0
-        try:
-            cli.main()
-        except SystemExit as end:
-            code = int(end.code or 0)
-        out, err = capfd.readouterr()
-        return code, out, err
-
-    return call_
-
-
-def refused(answer: tuple[int, str, str], code: int, *words: str) -> None:
-    """One sentence on stderr that holds the words, nothing on stdout, the exit code."""
-    got, out, err = answer
-    assert got == code, err
-    assert out == ""
-    assert "Traceback" not in err
-    lines = [line for line in err.splitlines() if line.strip() and not line.startswith("note: ")]
-    assert len(lines) == 1, err
-    assert lines[0].startswith("joulebox-render: ")
-    for word in words:
-        assert word in lines[0]
 
 
 # --- render ---
@@ -149,6 +103,16 @@ def test_settings_from_file_preset_and_command_line(call: Callable[..., Any], tm
 def test_the_same_picture_from_the_report_and_from_json(call: Callable[..., Any], tmp_path: Path) -> None:
     hashes = {json.loads(call("render", "cornell-boxes", "--json", *QUICK)[1])["image"]["pixel_sha256"] for _ in "12"}
     assert len(hashes) == 1
+
+
+def test_an_image_is_finite_and_lit(tmp_path: Path, call: Callable[..., Any]) -> None:
+    for entry in list_scenes():
+        exr = tmp_path / f"{entry.name}.exr"
+        assert call("render", entry.name, *QUICK, "-o", exr)[0] == 0
+        pixels = read_exr(exr)
+        assert np.isfinite(pixels).all()
+        assert pixels.min() >= 0
+        assert pixels.mean() > 1e-3
 
 
 # --- what is refused ---
@@ -281,137 +245,3 @@ def test_scenes(call: Callable[..., Any]) -> None:
 
 def test_version(call: Callable[..., Any]) -> None:
     assert call("--version")[:2] == (0, f"joulebox-render {__version__}\n")
-
-
-# --- loop ---
-
-
-def lines_of(text: str) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in text.splitlines()]
-
-
-@pytest.fixture(scope="module")
-def spoken(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[dict[str, Any]], Path]:
-    """Lines of a loop of three images, and the file it left."""
-    exr = tmp_path_factory.mktemp("loop") / "last.exr"
-    done = run("loop", "cornell-spheres", *QUICK, "--max-images", "3", "-o", exr)
-    assert done.returncode == 0, done.stderr
-    return lines_of(done.stdout), exr
-
-
-def test_the_loop_speaks_in_order(spoken: tuple[list[dict[str, Any]], Path]) -> None:
-    lines, _ = spoken
-    events = [line["event"] for line in lines]
-    assert events[0] == "ready"
-    assert events[-1] == "done"
-    assert set(events[1:-1]) == {"stage", "image"}
-    assert [line["image"] for line in lines if line["event"] == "image"] == [0, 1, 2]
-    image = 0
-    for line in lines[1:-1]:
-        assert line["image"] == image
-        image += line["event"] == "image"
-    assert lines[-1]["images"] == 3
-
-
-def test_ready_says_all_that_is_known_before(spoken: tuple[list[dict[str, Any]], Path]) -> None:
-    ready = spoken[0][0]
-    assert ready["protocol"] == 1
-    assert ready["scene"] == "cornell-spheres"
-    assert set(ready["settings"]) == set(settings_schema()["properties"])
-    assert ready["build"]["name"] == "joulebox-render"
-    assert {"version", "intersector", "isa", "threads"} <= set(ready["build"])
-    assert set(ready["setup"]) == {"load_s", "bvh_s", "compile_s"}
-    assert set(ready["plan"]) == {"run", "left_out"}
-    assert len(ready["scene_sha256"]) == 64
-
-
-def test_intervals_are_disjoint_and_inside_their_image(spoken: tuple[list[dict[str, Any]], Path]) -> None:
-    lines, _ = spoken
-    clock = lines[0]["time_s"]
-    images = [line for line in lines if line["event"] == "image"]
-    for image in images:
-        assert {"time_s", "cpu_s", "width", "height", "pixel_sha256", "photons"} <= set(image)
-        assert image["start_s"] >= clock
-        assert image["end_s"] - image["start_s"] == pytest.approx(image["time_s"], abs=1e-6)
-        at = image["start_s"]
-        stages = [line for line in lines if line["event"] == "stage" and line["image"] == image["image"]]
-        assert {stage["name"] for stage in stages} == set(lines[0]["plan"]["run"])
-        for stage in stages:
-            assert {"name", "start_s", "end_s", "cpu_s", "rays"} <= set(stage)
-            assert at <= stage["start_s"] <= stage["end_s"] <= image["end_s"]
-            at = stage["end_s"]
-        clock = image["end_s"]
-    assert lines[-1]["end_s"] >= clock
-
-
-def test_every_image_of_the_loop_is_the_same_and_the_last_is_kept(
-    spoken: tuple[list[dict[str, Any]], Path], call: Callable[..., Any]
-) -> None:
-    lines, exr = spoken
-    hashes = {line["pixel_sha256"] for line in lines if line["event"] == "image"}
-    assert hashes == {hashlib.sha256(read_exr(exr).astype("<f4").tobytes()).hexdigest()}
-    assert lines[-1]["image_file"] == str(exr)
-    rendered = json.loads(call("render", "cornell-spheres", "--json", *QUICK)[1])
-    assert hashes == {rendered["image"]["pixel_sha256"]}
-
-
-def test_the_loop_ends_after_its_time_but_renders_once(call: Callable[..., Any]) -> None:
-    code, out, _ = call("loop", "point-light", *QUICK, "--max-seconds", "0")
-    assert code == 0
-    assert lines_of(out)[-1]["images"] == 1
-    start = time.perf_counter()
-    code, out, _ = call("loop", "point-light", *QUICK, "--max-seconds", "0.3")
-    assert lines_of(out)[-1]["images"] >= 1
-    assert time.perf_counter() - start < 20
-    assert lines_of(out)[-1]["image_file"] is None
-
-
-@pytest.fixture
-def long_loop() -> Any:
-    """A loop over an image that would take an hour, once it is ready."""
-    hour = ["--set", "samples_per_pixel=4096", "--set", "shadow_rays=256"]
-    process = subprocess.Popen(
-        [*COMMAND, "loop", "cornell-boxes", *hour], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    assert process.stdout is not None
-    assert json.loads(process.stdout.readline())["event"] == "ready"
-    yield process
-    process.kill()
-    process.communicate()
-
-
-@pytest.mark.skipif(os.name == "nt", reason="no SIGTERM handlers on Windows")
-def test_sigterm_ends_the_loop_within_an_image(long_loop: Any) -> None:
-    """Promptly, though the image would take an hour, with its `done` line and exit code 0."""
-    time.sleep(0.5)
-    start = time.perf_counter()
-    long_loop.send_signal(signal.SIGTERM)
-    out, err = long_loop.communicate(timeout=60)
-    assert time.perf_counter() - start < 20
-    assert long_loop.returncode == 0, err
-    assert err == ""
-    assert lines_of(out)[-1]["event"] == "done"
-    assert lines_of(out)[-1]["images"] == 0
-
-
-def test_a_reader_that_goes_away_ends_the_loop_quietly() -> None:
-    process = subprocess.Popen(
-        [*COMMAND, "loop", "point-light", *QUICK], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    assert process.stdout is not None
-    assert process.stderr is not None
-    process.stdout.readline()
-    process.stdout.close()
-    assert process.wait(timeout=60) == 1
-    assert process.stderr.read() == ""
-    process.stderr.close()
-
-
-def test_an_image_is_finite_and_lit(tmp_path: Path, call: Callable[..., Any]) -> None:
-    for entry in list_scenes():
-        exr = tmp_path / f"{entry.name}.exr"
-        assert call("render", entry.name, *QUICK, "-o", exr)[0] == 0
-        pixels = read_exr(exr)
-        assert np.isfinite(pixels).all()
-        assert pixels.min() >= 0
-        assert pixels.mean() > 1e-3

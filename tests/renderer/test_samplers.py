@@ -1,34 +1,22 @@
-"""Chi-square tests of every sampler against its density.
-
-Seeds are fixed, so each test either passes or fails for good; ALPHA is the chance that a correct sampler would
-have failed when its seed was chosen (two-sided: a fit that is too good is as suspicious for independent samples).
-With some forty tests of 0.0002 the whole file is a false alarm once in a hundred choices.
-"""
+"""Samples of lights and photons that leave them: chi-square tests against their density (sampler_checks)."""
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from joulebox_render.kernels.lighting import emit_photons, shadow_rays
-from joulebox_render.kernels.rng import child_key, path_key, sample_2d, uniform
-from joulebox_render.kernels.transport import camera_rays, gather_rays
+from joulebox_render.kernels.rng import path_key
 from joulebox_render.kernels.vector import tangent_frame
-from joulebox_render.records import POINT_LIGHT, Points, Rays, ShadowRays
+from joulebox_render.records import POINT_LIGHT, Rays, ShadowRays
 from joulebox_render.scene import load_scene
 from joulebox_render.stages.aim import aim_everywhere
-from joulebox_render.stages.context import Context
-from joulebox_render.stages.gather import NOT_BENT
 from joulebox_render.tables import SceneTables, scene_tables
-from scipy import stats
+from sampler_checks import INDEPENDENT, assert_fits, binned, cosine_cells, points_at
 
-ALPHA = 2e-4
-INDEPENDENT = -1
 FLOOR = '<shape type="rectangle"><transform name="to_world"><scale value="2"/></transform></shape>'
 POINT = (
     '<emitter type="point"><point name="position" value="0.2,0.1,1"/><rgb name="intensity" value="3 2 1"/></emitter>'
@@ -54,163 +42,10 @@ CUBE = (
 )
 
 
-def assert_fits(counts: Any, expected: Any = None) -> None:
-    """Chi-square of observed counts against expected ones (equal where not given), two-sided at ALPHA."""
-    counts = np.asarray(counts, dtype=np.float64).ravel()
-    expected = np.full(len(counts), counts.mean()) if expected is None else np.asarray(expected, np.float64).ravel()
-    expected = expected * (counts.sum() / expected.sum())
-    assert expected.min() >= 5, "too few samples a bin for the chi-square distribution to hold"
-    p = stats.chisquare(counts, expected).pvalue
-    assert ALPHA / 2 < p < 1 - ALPHA / 2, f"p = {p:.3g}"
-
-
-def binned(bins: int, *coordinates: Any) -> Any:
-    """Counts of points of the unit cube in bins^n equal cells."""
-    return np.histogramdd(np.stack(coordinates, -1), bins=bins, range=[(0, 1)] * len(coordinates))[0]
-
-
-def keys(count: int, stream: int = 7, seed: int = 1) -> list[np.uint64]:
-    return [np.uint64(path_key(seed, stream, index)) for index in range(count)]
-
-
-def frame_of(normals: Any) -> tuple[Any, Any]:
-    """Tangents (N, 3) of each normal, checked to be an orthonormal right-handed frame."""
-    frames = np.array([tangent_frame(*map(float, normal)) for normal in normals])
-    s, t = frames[:, :3], frames[:, 3:]
-    np.testing.assert_allclose(np.cross(s, t), normals, atol=2e-6)
-    np.testing.assert_allclose(np.einsum("ij,ij->i", s, s), 1.0, atol=2e-6)
-    return s, t
-
-
-def cosine_cells(directions: Any, normals: Any) -> tuple[Any, Any]:
-    """Coordinates in which a cosine distribution about the normals is uniform: sin^2 theta and phi / 2 pi."""
-    s, t = frame_of(normals)
-    x, y, z = (np.einsum("ij,ij->i", directions, axis) for axis in (s, t, normals))
-    assert z.min() >= 0
-    np.testing.assert_allclose(x * x + y * y + z * z, 1.0, atol=1e-5)
-    return x * x + y * y, (np.arctan2(y, x) / (2 * math.pi)) % 1.0
-
-
-def points_at(position: Any, normal: Any, count: int = 1) -> Points:
-    """White points at one place, each with a key of its own."""
-    points = Points.empty(count)
-    points.position[:], points.normal[:], points.geometric[:] = position, normal, normal
-    points.albedo[:], points.weight[:] = 1, 1
-    points.owner[:] = np.arange(count)
-    points.key[:], points.sample[:] = keys(count), 0
-    return points
-
-
 @pytest.fixture
 def tables_of(make_scene: Callable[..., Any]) -> Callable[[str], SceneTables]:
     """Tables of a floor at z = 0 and the lights given."""
     return lambda body: scene_tables(load_scene(make_scene(FLOOR + body)))
-
-
-def test_uniform_is_uniform_in_every_dimension() -> None:
-    samples = np.array([[uniform(key, dimension) for dimension in range(8)] for key in keys(8192)])
-    assert samples.min() >= 0
-    assert samples.max() < 1
-    for column in samples.T:
-        assert_fits(binned(64, column))
-    # Mean 1/2 and variance 1/12 (that of the variance is 1/180): 4.5 sigma, one false alarm in 70,000 each.
-    count = samples.size
-    assert abs(samples.mean() - 1 / 2) < 4.5 * math.sqrt(1 / 12 / count)
-    assert abs(samples.var() - 1 / 12) < 4.5 * math.sqrt(1 / 180 / count)
-
-
-@pytest.mark.parametrize(
-    "pairs",
-    [
-        lambda k: [(uniform(key, 0), uniform(key, 1)) for key in k],
-        lambda k: [(uniform(key, 1), uniform(key, 2)) for key in k],
-        lambda k: [(uniform(a, 0), uniform(b, 0)) for a, b in itertools.pairwise(k)],
-        lambda k: [(uniform(key, 0), uniform(np.uint64(child_key(key, 0)), 0)) for key in k],
-        lambda k: [(uniform(np.uint64(child_key(key, 0)), 0), uniform(np.uint64(child_key(key, 1)), 0)) for key in k],
-        lambda k: [(uniform(a, 0), uniform(b, 0)) for a, b in zip(k, keys(len(k), seed=2), strict=True)],
-        lambda k: [(uniform(a, 0), uniform(b, 0)) for a, b in zip(k, keys(len(k), stream=8), strict=True)],
-    ],
-    ids=["dimensions 0 1", "dimensions 1 2", "neighbours", "parent and child", "siblings", "seeds", "streams"],
-)
-def test_uniform_is_independent(pairs: Callable[[list[np.uint64]], list[tuple[float, float]]]) -> None:
-    assert_fits(binned(16, *np.array(pairs(keys(16384))).T))
-
-
-def test_no_key_is_met_twice() -> None:
-    """Among 40,000 keys of two streams and their first children a collision has a chance of 1e-10."""
-    found = [key for stream in (1, 2) for key in keys(10_000, stream)]
-    found += [np.uint64(child_key(key, 0)) for key in found]
-    assert len(set(map(int, found))) == len(found)
-
-
-def columns_of(count: int, sampler: str = "stratified") -> int:
-    """How the renderer places `count` samples."""
-    context: Any = SimpleNamespace(settings=SimpleNamespace(sampler=sampler), sobol=sampler == "sobol")
-    return Context.columns(context, count)
-
-
-def pattern(key: np.uint64, count: int) -> Any:
-    return np.array([sample_2d(key, 0, 1, i, count, columns_of(count)) for i in range(count)])
-
-
-@pytest.mark.parametrize("count", [1, 2, 4, 8, 9, 16, 36, 48, 64, 100, 144, 256])
-def test_a_grid_has_one_sample_in_every_cell(count: int) -> None:
-    columns = columns_of(count)
-    assert columns > 0
-    u, v = pattern(keys(1)[0], count).T
-    cells = np.floor(u * columns).astype(int) + columns * np.floor(v * (count // columns)).astype(int)
-    assert sorted(cells) == list(range(count))
-
-
-@pytest.mark.parametrize("count", [5, 7, 11, 22, 34, 93, 111, 155, 246, 259, 997])
-def test_a_latin_square_has_one_sample_in_every_row_and_column(count: int) -> None:
-    """Also where the golden section's step shares a factor with the count (93, 111, 155, 246, 259)."""
-    assert columns_of(count) < -1
-    for key in keys(3):
-        for coordinate in pattern(key, count).T:
-            assert sorted(np.floor(coordinate * count).astype(int)) == list(range(count))
-
-
-@pytest.mark.parametrize("count", [7, 12, 93])
-def test_stratified_samples_are_uniform_together(count: int) -> None:
-    """Pooled over keys. Strata cannot be over-full, so only too bad a fit counts; ALPHA is then conservative."""
-    samples = np.concatenate([pattern(key, count) for key in keys(12_000 // count)])
-    counts = binned(8, *samples.T)
-    assert stats.chisquare(counts.ravel()).pvalue > ALPHA
-
-
-def test_independent_samples_are_uniform_and_independent() -> None:
-    assert columns_of(64, "independent") == INDEPENDENT
-    samples = np.array([sample_2d(key, 0, 1, i, 4, INDEPENDENT) for key in keys(4096) for i in range(4)])
-    assert_fits(binned(16, *samples.T))
-    first, second = samples[0::4], samples[1::4]
-    assert_fits(binned(8, first[:, 0], second[:, 0]))
-    assert_fits(binned(8, first[:, 1], second[:, 0]))
-
-
-@pytest.mark.parametrize("samples", [1, 4, 7, 155])
-def test_camera_samples_without_jitter_are_the_centres_of_their_strata(samples: int) -> None:
-    rays = Rays.empty(samples)
-    frame = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
-    camera_rays(0, 1, 0, samples, columns_of(samples), False, 1, 1, frame, 0.0, rays)
-    film = (rays.direction[:, :2] / rays.direction[:, 2:] + 1) / 2
-    columns = columns_of(samples)
-    strata = (columns, samples // columns) if columns > 0 else (samples, samples)
-    for coordinate, count in zip(film.T, strata, strict=True):
-        rows = coordinate * count - 0.5
-        np.testing.assert_allclose(rows, np.round(rows), atol=1e-3)
-        assert np.all(np.bincount(np.round(rows).astype(int), minlength=count) == samples // count)
-
-
-@pytest.mark.parametrize(
-    "normal", [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0.48, -0.6, 0.64), (1e-4, 0, -1), (-0.48, 0.6, -0.64)]
-)
-def test_gather_rays_are_cosine_distributed(normal: tuple[float, float, float]) -> None:
-    unit = np.array(normal) / np.linalg.norm(normal)
-    count = 20_000
-    rays = Rays.empty(count)
-    gather_rays(points_at((0, 0, 0), unit, count), 0, count, 1, INDEPENDENT, NOT_BENT, rays)
-    assert_fits(binned(10, *cosine_cells(rays.direction.astype(np.float64), np.tile(unit, (count, 1)))))
 
 
 def sampled_light(tables: SceneTables, count: int = 40_000) -> tuple[Any, Any, Any]:
