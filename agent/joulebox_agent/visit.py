@@ -177,9 +177,7 @@ class Visit:
             return self._rule.window_s
         now_s = self._clock.now_s()
         if now_s - self._looked_s > LOOK_AT_REFRESH_S:
-            self._then: Ending | None = None  # how it ends once the load has lasted until `_edge_s`
-        self._lead_s = self._edge_s = 0.0
-        self._looked_s, self._refresh_s = now_s, self._meter.refresh_s() or SLOWEST_REFRESH_S
+            self._looked_s, self._refresh_s = now_s, self._meter.refresh_s() or SLOWEST_REFRESH_S
         return max(self._rule.window_s, refreshes * self._refresh_s)
 
     def _close(self, window: Window) -> None:
