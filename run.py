@@ -32,6 +32,7 @@ SUFFIX = ".exe" if os.name == "nt" else ""
 STAMP = VENV / "joulebox-setup"
 LOG = VENV / "joulebox-setup.log"
 DISTRIBUTIONS = ("renderer", "agent", "server")
+EXTRAS = {"agent": "[plot]"}
 PACKAGES = ("renderer/joulebox_render", "agent/joulebox_agent", "server/joulebox_server")
 GENERATED = ("dist", ".demo", ".mypy_cache", ".ruff_cache", ".pytest_cache", ".hypothesis", "tests/failures",
              ".import_linter_cache")  # fmt: skip
@@ -62,7 +63,7 @@ def setup() -> None:
     STAMP.unlink(missing_ok=True)
     say(f"installing what constraints.txt pins (the log is {LOG.relative_to(ROOT)})")
     install("pip", "hatchling", "editables")
-    editables = [part for folder in DISTRIBUTIONS for part in ("-e", f"./{folder}")]
+    editables = [part for folder in DISTRIBUTIONS for part in ("-e", f"./{folder}{EXTRAS.get(folder, '')}")]
     install("--no-build-isolation", *editables, "--group", "dev")
     warm_up()
     STAMP.write_text(f"{identity}\n{inputs}\n", encoding="utf-8")

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import altair as alt
+import vl_convert
 
 from joulebox_agent.errors import UsageError
 from joulebox_agent.recording import Recording
@@ -48,7 +49,11 @@ def power_chart(records: Sequence[Recording], labels: Sequence[str] = ()) -> alt
 
 def save_chart(chart: alt.VConcatChart, path: Path) -> None:
     """Writes PNG or SVG by the file's ending. Raises OSError."""
-    chart.save(str(path), format=plot_format(path), scale_factor=1.5)
+    spec = chart.to_dict()
+    if plot_format(path) == "png":
+        path.write_bytes(vl_convert.vegalite_to_png(spec, scale=1.5))
+    else:
+        path.write_text(vl_convert.vegalite_to_svg(spec), encoding="utf-8")
 
 
 def plot_format(path: Path) -> Literal["png", "svg"]:

@@ -258,3 +258,42 @@ def test_an_answer_that_is_not_understood_is_refused_in_words() -> None:
     server = Server("http://fleet", TOKEN, transport=transport)
     with pytest.raises(AgentError, match=r"is not understood: leases\.0\.attempt_id"):
         server.lease("boot", {}, 0)
+
+
+def test_a_killed_agent_gives_its_job_back_when_it_starts_again(state: StateDir, fleet: FakeFleet) -> None:
+    fleet.add_job(1, fleet.add_scene(), image_s=0.2)
+    fleet.jobs[0]["measure"] |= {"window_s": 60}
+    killed = Bench(state, fleet)
+    killed.daemon._work = lambda lease: killed.stop.set()  # type: ignore[method-assign]  # as if it ended here
+    killed.daemon.run()
+    assert fleet.releases == []
+    assert state.leased() == ["attempt-1"]
+    Bench(state, fleet, once=True).daemon.run()
+    assert fleet.releases == [("attempt-1", "the agent was killed while it had this job", False)]
+    assert state.leased() == []
+
+
+def test_a_delivered_job_is_not_given_back(state: StateDir, fleet: FakeFleet) -> None:
+    fleet.add_job(1, fleet.add_scene())
+    Bench(state, fleet, once=True).daemon.run()
+    assert state.leased() == []
+    state.leases.write_text("not JSON")
+    assert state.leased() == []
+
+
+def test_a_low_battery_takes_no_job_until_it_was_charged(
+    state: StateDir, fleet: FakeFleet, tree: Callable[[str], Path]
+) -> None:
+    root = tree("thinkpad_power_now")
+    battery = root / "class/power_supply/BAT0"
+    full = int((battery / "energy_full").read_text())
+    (battery / "energy_now").write_text(str(full // 5))
+    fleet.add_job(1, fleet.add_scene())
+    bench = Bench(state, fleet, source="auto", sysfs_root=root, idle_exit_s=0.3)
+    bench.daemon.run()
+    assert "POST /leases" not in fleet.calls
+    assert "the charge is 20%: charging to 90%" in bench.said
+    assert "Not fit to measure now: the charge is 20% and goes up to 90%." in bench.said
+    (battery / "energy_now").write_text(str(full))  # charged, and off the cable again
+    Bench(state, fleet, source="auto", sysfs_root=root, once=True).daemon.run()
+    assert "POST /leases" in fleet.calls

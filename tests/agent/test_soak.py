@@ -2,10 +2,11 @@
 
 Every accepted window's joules are compared with what the machine really drew in it. Tolerance of a window of 60 s
 at 17 W (1,020 J): the gauge's 15 refreshes of 4 s with 0.4 W of white noise leave 6.2 J (sigma), of which six are
-allowed; its edges fall between two refreshes, each of which may hold up to 2 s of stages 10 W apart, 20 J each.
-Together 77 J, 7.5 %. A window with 5 s of a charger's 40 W, or that bridges a sleep, is off by more.
+allowed; its two edges fall into a refresh of stages that differ by up to 10 W, by half a second on average. Together
+47 J, 5 %. A window that a gauge frozen while idle is believed in is off by 60 %.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from random import Random
 from threading import Event
@@ -24,7 +25,7 @@ from joulebox_agent.visit import Job
 from simulated import FULL_WH, STAGES_W, Machine, SimulatedLoop, SimulatedSampler
 
 GAUGE_S = 4.0
-TOLERANCE = 0.075
+TOLERANCE = 0.05
 RULE = MeasureRule(max_windows=8, max_seconds=1500.0, silence_s=300.0)
 
 
@@ -94,11 +95,17 @@ def measured(machine: Machine, folder: Path, truth: dict[float, float], random: 
     """One measurement of a random mixture of stages."""
     words = [w for name in STAGES_W for w in ("--set", f"{name}={random.uniform(0.3, 2.5):.3f}")]
     source = choose("battery_gauge", machine.root)
-    meter = Meter(source, lambda: SimulatedSampler(source.source, machine, poll_s=1.0), machine, machine.root, Event(),
-                  Quiet())  # fmt: skip
+
+    def sampler() -> SimulatedSampler:
+        return SimulatedSampler(source.source, machine, poll_s=1.0)
+
+    meter = Meter(source, sampler, machine, machine.root, Event(), Quiet())
     job = Job([], ["cornell", *words], folder / "last.exr")
-    session = Session([Configuration(job)], RULE, meter,
-                      make_loop=lambda c, arguments, k, w: DyingLoop(machine, list(arguments), truth, random))  # fmt: skip
+
+    def loop(command: Sequence[str], arguments: Sequence[str], *rest: object) -> DyingLoop:
+        return DyingLoop(machine, list(arguments), truth, random)
+
+    session = Session([Configuration(job)], RULE, meter, make_loop=loop)
     (record,) = session.run()
     build_result(record, RULE, job.image_file)  # a document comes of everything that was recorded
     return record
@@ -117,7 +124,7 @@ def soak(folder: Path, seed: int, hours: float, every_s: float) -> tuple[int, in
     accepted = voided = ended = 0
     while machine.now_s() < 1000.0 + 3600.0 * hours:
         machine.charge_wh = max(machine.charge_wh, 0.6 * FULL_WH)
-        machine.advance(machine.now_s() + 10.0)
+        machine.advance(machine.now_s() + 60.0)  # idle, so that a gauge that freezes now holds a wrong power
         truth: dict[float, float] = {}
         try:
             record = measured(machine, folder, truth, random)
@@ -141,11 +148,11 @@ def soak(folder: Path, seed: int, hours: float, every_s: float) -> tuple[int, in
     return accepted, voided, ended, trouble.happened
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_an_hour_with_faults(tmp_path: Path, seed: int) -> None:
-    accepted, voided, _, happened = soak(tmp_path, seed, hours=1.0, every_s=240.0)
+@pytest.mark.parametrize("seed", [1, 3])
+def test_two_hours_with_faults(tmp_path: Path, seed: int) -> None:
+    accepted, voided, ended, happened = soak(tmp_path, seed, hours=2.0, every_s=200.0)
     assert accepted >= 10
-    assert voided >= 3
+    assert voided + ended >= 5
     assert len(happened) >= 4
 
 

@@ -34,9 +34,10 @@ def imported(package: Path) -> set[str]:
 
 
 def declared(root: Path, folder: str) -> list[Requirement]:
-    """Requirements of a distribution."""
+    """Requirements of a distribution, those of its extras among them: setup installs them all."""
     project = tomllib.loads((root / folder / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    return [Requirement(line) for line in project["dependencies"]]
+    extras = [line for lines in project.get("optional-dependencies", {}).values() for line in lines]
+    return [Requirement(line) for line in (*project["dependencies"], *extras)]
 
 
 def pinned(root: Path) -> set[str]:

@@ -101,11 +101,11 @@ def measure(
     if plot is not None:
         _check_plot(plot)
     choice = choose(source, sysfs_root)
+    charging = _charging(choice, sysfs_root, several, charge_band, charge_hook)
     plan = {"arguments": arguments, "entries": [[*e.arguments(), e.timed_only] for e in entries], "command": command,
             "rule": rule.model_dump(), "source": choice.name, "order": [course.order, course.seed]}  # fmt: skip
     with tempfile.TemporaryDirectory(prefix="joulebox-") as scratch, shown_progress() as listener:
         _say_source(listener, choice)
-        charging = _charging(choice, sysfs_root, several, charge_band, charge_hook)
         if charging is not None:
             listener.note(_forecast(charging, rule, entries, choice).words())
         jobs = [
