@@ -1,5 +1,6 @@
 """A battery as a budget: the band in which is measured, the charges that a plan needs, and how one is had."""
 
+import math
 import shlex
 import subprocess
 from collections.abc import Callable
@@ -16,6 +17,7 @@ from joulebox_agent.sources.sysfs import Sysfs
 LOOK_EVERY_S = 10.0
 STUCK_AFTER_S = 900.0  # without the charge rising: a threshold of the firmware's own, a weak charger
 HOOK_WITHIN_S = 60.0
+WORTH_A_START = 0.05  # of full above the lower end, for a charge that stopped early to be used at all
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,9 @@ class Band:
         return cls(high, low)
 
 
+MEASURING_BAND = Band()
+
+
 @dataclass(frozen=True)
 class Forecast:
     """What a plan takes from the battery.
@@ -57,7 +62,7 @@ class Forecast:
 
 
 class Charging:
-    """Keeps the battery within its band between windows.
+    """Keeps the battery within its band between windows: measures, charges, waits for the cable to go, measures.
 
     hook   a command that is called with `on` to charge and `off` to stop (a smart plug's); None: a person does it
     """
@@ -66,16 +71,20 @@ class Charging:
         self.band, self._root, self._source = band, sysfs_root, source
         self._hook = shlex.split(hook) if hook else None
         self._supplies = PowerSupplyClass(Sysfs(sysfs_root))
+        # a plug that is on when we start was left so by a process that was killed while charging
+        self._charging = self._hook is not None and self.plugged()
+        self._unplugging = False
+        self._highest, self._since_s = 0.0, math.inf
 
     def share(self) -> float | None:
         """Charge as a share of full, None where it cannot be read."""
         share = read_conditions(self._root).get("battery_charge_share")
         return float(share) if isinstance(share, int | float) else None
 
-    def must_charge(self) -> bool:
-        """Whether the charge is at the band's lower end."""
+    def must_charge(self, reserve: float = 0.0) -> bool:
+        """Whether the charge, less a reserve (a share of full), is at the band's lower end."""
         share = self.share()
-        return share is not None and share <= self.band.low
+        return self._charging or (share is not None and share - reserve <= self.band.low)
 
     def plugged(self) -> bool:
         """Whether a cable is online now, or the battery charges."""
@@ -91,42 +100,66 @@ class Charging:
         first_j = max(0.0, share - self.band.low) * full_j
         charge_j = (self.band.high - self.band.low) * full_j
         further_j = max(0.0, energy_j - first_j)
-        return Forecast(time_s, energy_j, -int(-further_j // charge_j))
+        return Forecast(time_s, energy_j, math.ceil(further_j / charge_j))
 
     def charge(self, meter: Meter) -> None:
         """Waits for a charge up to the band's upper end, then for a discharge. Raises StoppedError, AgentError."""
-        before = self.share() or 0.0
-        meter.listener.note(f"the charge is {before:.0%}: charging to {self.band.high:.0%}")
-        self._set_behaviour("auto", meter.listener.note)
+        said = ""
+        while (reason := self.step(meter.clock.now_s(), meter.listener.note)) is not None:
+            meter.check_stop()
+            if not self._charging and reason != said:
+                said = reason
+                meter.listener.note(f"waiting for a discharge: {reason}")
+            meter.pause(LOOK_EVERY_S)
+        meter.listener.note(f"discharging from {self.share() or 0.0:.0%}")
+
+    def wait_for_discharge(self, meter: Meter) -> None:
+        """Waits until the machine runs from its battery. Raises StoppedError, AgentError."""
+        self._unplugging = True
+        self.charge(meter)
+
+    def step(self, now_s: float, say: Callable[[str], None], reserve: float = 0.0) -> str | None:
+        """Does what is due now and returns why measuring has to wait, or None. Raises AgentError (the hook)."""
+        share = self.share()
+        if self._charging or (share is not None and share - reserve <= self.band.low):
+            if not self._charging or self._since_s == math.inf:
+                self._begin(share or 0.0, now_s, say)
+            if not self._charged(share or 0.0, now_s, say):
+                return f"the charge is {share or 0.0:.0%} and goes up to {self.band.high:.0%}"
+            self._end(say)
+        if self._unplugging:
+            reason = unfit_reason(self._source, self._root)
+            if reason is not None:
+                return reason + ("" if self._hook else "; pull the power cable out")
+            self._unplugging = False
+            self._set_behaviour("auto", say)
+        return None
+
+    def _begin(self, share: float, now_s: float, say: Callable[[str], None]) -> None:
+        self._charging, self._highest, self._since_s = True, share, now_s
+        say(f"the charge is {share:.0%}: charging to {self.band.high:.0%}")
+        self._set_behaviour("auto", say)
         if self._hook:
             self._call("on")
         elif not self.plugged():
-            meter.listener.note("plug the power cable in")
-        highest, since_s = before, meter.clock.now_s()
-        while (share := self.share() or 0.0) < self.band.high:
-            meter.check_stop()
-            if share > highest:
-                highest, since_s = share, meter.clock.now_s()
-            elif meter.clock.now_s() - since_s > STUCK_AFTER_S and highest > self.band.low + 0.05 and self.plugged():
-                meter.listener.note(f"charging stopped at {share:.0%}: a threshold of the firmware's own?")
-                break
-            meter.pause(LOOK_EVERY_S)
+            say("plug the power cable in")
+
+    def _charged(self, share: float, now_s: float, say: Callable[[str], None]) -> bool:
+        """Full enough, or as full as the firmware lets it become."""
+        if share > self._highest:
+            self._highest, self._since_s = share, now_s
+        if share >= self.band.high:
+            return True
+        stuck = now_s - self._since_s > STUCK_AFTER_S and share > self.band.low + WORTH_A_START and self.plugged()
+        if stuck:
+            say(f"charging stopped at {share:.0%}: a threshold of the firmware's own?")
+        return stuck
+
+    def _end(self, say: Callable[[str], None]) -> None:
+        self._charging, self._unplugging, self._since_s = False, True, math.inf
         if self._hook:
             self._call("off")
-        self._set_behaviour("force-discharge", meter.listener.note)
-        self.wait_for_discharge(meter)
-
-    def wait_for_discharge(self, meter: Meter) -> None:
-        """Waits until the machine runs from its battery. Raises StoppedError."""
-        said = ""
-        while (reason := unfit_reason(self._source, self._root)) is not None:
-            meter.check_stop()
-            if reason != said:
-                said = reason
-                meter.listener.note(f"waiting for a discharge: {reason}" + ("" if self._hook else "; pull the cable"))
-            meter.pause(LOOK_EVERY_S)
-        self._set_behaviour("auto", meter.listener.note)
-        meter.listener.note(f"discharging from {self.share() or 0.0:.0%}")
+        self._set_behaviour("force-discharge", say)
 
     def _call(self, word: str) -> None:
         assert self._hook is not None

@@ -14,6 +14,7 @@ from typing import Protocol
 
 from joulebox_agent.bundle import SceneCache
 from joulebox_agent.capabilities import describe_device
+from joulebox_agent.charging import MEASURING_BAND, Band, Charging
 from joulebox_agent.conditions import read_conditions
 from joulebox_agent.delivery import Delivery
 from joulebox_agent.errors import (
@@ -32,7 +33,7 @@ from joulebox_agent.result import Result, build_result
 from joulebox_agent.rule import MeasureRule, make_rule
 from joulebox_agent.server import Lease, Server
 from joulebox_agent.sources.choose import choose, unfit_reason
-from joulebox_agent.spool import Entry, Spool
+from joulebox_agent.spool import Entry, Spool, write_whole
 from joulebox_agent.state import StateDir, boot_id
 from joulebox_agent.visit import Job
 
@@ -49,6 +50,8 @@ class RunOptions:
     max_jobs     end after this many jobs; None: never
     idle_exit_s  end after this long without a job; None: never
     wait_s       how long the server may hold a lease request [s]
+    charge_band  measure within it; below it the device is not fit until it was charged
+    charge_hook  command that switches a charger on and off
     pause_s      first pause after trouble; doubles up to `longest_pause_s`, jittered
     """
 
@@ -61,6 +64,8 @@ class RunOptions:
     pause_s: float = 1.0
     longest_pause_s: float = 60.0
     silence_s: float = 600.0
+    charge_band: Band = MEASURING_BAND
+    charge_hook: str | None = None
 
 
 class Daemon:
@@ -83,7 +88,12 @@ class Daemon:
         self._boot_id = boot_id()
         self.delivery = Delivery(Spool(state.spool), server, log)
         self._scenes = SceneCache(state.scenes, server)
-        self._releases: list[tuple[str, str, bool]] = []
+        self._releases: list[tuple[str, str, bool]] = [
+            (attempt_id, "the agent was killed while it had this job", False) for attempt_id in state.leased()
+        ]
+        self._leased = {attempt_id for attempt_id, _, _ in self._releases}
+        self._charging = self._make_charging()
+        self._job_share = 0.0  # of the battery, what the dearest job so far took
         self._jobs = 0
         self._last_job_s = time.monotonic()
         self._said = ""
@@ -138,6 +148,7 @@ class Daemon:
                 self._log("The server has no job for this device.")
             else:
                 self._stop.wait(min(wait_s, self._longest_wait_s()))
+        self._remember({*self._leased, *(lease.attempt_id for lease in leases)})
         for lease in leases:
             self._work(lease)
             self._jobs += 1
@@ -153,6 +164,7 @@ class Daemon:
             except ServerRefusedError as error:
                 self._log(f"Attempt {release[0]} cannot be given back: {error}")
             self._releases.remove(release)
+            self._remember(self._leased - {release[0]})
         self.delivery.send_all()
 
     def _why_not_now(self) -> str | None:
@@ -160,13 +172,37 @@ class Daemon:
             return "a result waits in memory because the spool's disk is full"
         if not self.delivery.spool.room():
             return f"less than 64 MiB are free on the disk of {self._state.spool}"
+        if self._charging is not None:
+            try:
+                reason = self._charging.step(time.monotonic(), self._log, self._job_share)
+            except AgentError as error:  # the hook: a person may have to help
+                reason = str(error).rstrip(".")
+            if reason:
+                return reason
         return unfit_reason(self._options.source, self._options.sysfs_root)
+
+    def _make_charging(self) -> Charging | None:
+        """Keeps a battery in its band where a battery is the source; None elsewhere."""
+        options = self._options
+        if options.source != "auto" and not options.source.startswith("battery"):
+            return None
+        charging = Charging(options.charge_band, options.sysfs_root, options.source, options.charge_hook)
+        return charging if charging.share() is not None else None
+
+    def _remember(self, attempts: set[str]) -> None:
+        """Writes down which attempts are ours, for the agent that starts after a kill."""
+        self._leased = attempts
+        try:
+            write_whole(self._state.leases, json.dumps(sorted(attempts)).encode())
+        except OSError as error:
+            self._say(f"{self._state.leases} cannot be written: {error.strerror}.")
 
     def _work(self, lease: Lease) -> None:
         """Measures one job and keeps its result; whatever stands in the way becomes a release."""
         if self._stop.is_set():
             self._releases.append((lease.attempt_id, "the agent was stopped", False))
             return
+        before = self._charging.share() if self._charging else None
         self._log(f"Job {lease.job_id}: {lease.purpose} of {lease.scene.name} {_words(lease.settings)}")
         try:
             result = self._measure(lease)
@@ -189,6 +225,10 @@ class Daemon:
                 named = [sha for sha in (document.power_samples, document.image_blob) if sha]
                 entry = Entry(attempt_id=lease.attempt_id, document=document.to_json(), blobs=tuple(named))
                 self.delivery.keep(entry, {sha: result.blobs[sha] for sha in named})
+                self._remember(self._leased - {lease.attempt_id})
+        after = self._charging.share() if self._charging else None
+        if before is not None and after is not None:
+            self._job_share = max(self._job_share, before - after)
 
     def _measure(self, lease: Lease) -> Result | None:
         """The result, None when it is void (then the lease is given back)."""

@@ -120,12 +120,19 @@ class Meter:
         return self._sampler.void_reason(start_s, end_s)
 
     def void_reasons(self, stretches: Sequence[tuple[float, float]]) -> list[str | None]:
-        """Why each stretch (start_s, end_s) must not be used, or None, after looking at all samples again."""
-        source = self.choice.source
-        series = PowerSeries(self.samples()) if source.quality != "none" and stretches else None
+        """Why each stretch (start_s, end_s) must not be used, or None, after looking at its samples again.
+
+        Stretches of before the last `start` were judged then: the pause between is no fault of theirs.
+        """
+        source, since_s = self.choice.source, self._sampler.start_s
+        if source.quality == "none" or not stretches:
+            return [self.passing_fault(start_s, end_s) for start_s, end_s in stretches]
+        series = PowerSeries(self._sampler.samples())
         return [
             self.passing_fault(start_s, end_s)
-            or (stretch_fault(series, start_s, end_s, source.primary, self._load_changes_s) if series else None)
+            or stretch_fault(series, start_s, end_s, source.primary, self._load_changes_s)
+            if start_s >= since_s
+            else None
             for start_s, end_s in stretches
         ]
 

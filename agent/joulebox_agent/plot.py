@@ -171,7 +171,7 @@ def _spans(stretches: list[dict[str, object]]) -> Any:
             x2="end_s:Q",
             color=alt.Color(
                 "kind:N", title=None, scale=alt.Scale(domain=list(KINDS), range=list(KINDS.values())),
-                legend=alt.Legend(orient="top-right"),
+                legend=alt.Legend(orient="right"),
             ),
             tooltip=["text:N"],
         )
@@ -186,6 +186,6 @@ def _stages(bands: list[dict[str, Any]], shown: list[float]) -> Any:
             x=alt.X("start_s:Q", title="time [s]", scale=alt.Scale(domain=shown, nice=False)),
             x2="end_s:Q",
             color=alt.Color("stage:N", title=None, scale=alt.Scale(scheme="tableau10"),
-                            legend=alt.Legend(orient="top-right")),
+                            legend=alt.Legend(orient="right")),
         )
     )  # fmt: skip

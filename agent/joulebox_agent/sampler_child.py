@@ -69,13 +69,13 @@ class _Asked:
 
 def main(name: str, sysfs_root: str, *companion: str) -> int:
     """Reads until the parent ends it; the exit code: 0 asked to end, 1 the source cannot be read."""
-    lower_priority()
     try:
         sources = [choose(each, Path(sysfs_root)).source for each in (name, *companion)]
     except AgentError as error:
         print(json.dumps({"error": str(error)}), flush=True)
         return 1
     print(json.dumps({"method": sources[0].method, "poll_s": sources[0].poll_s}), flush=True)
+    lower_priority()
     clock, asked = SystemClock(), _Asked(sys.stdin)
     began_s = time.process_time()
     due_s = clock.now_s()

@@ -1,5 +1,6 @@
 """Sampling in a process of its own, seen from the process that measures."""
 
+import contextlib
 import json
 import subprocess
 import sys
@@ -128,7 +129,7 @@ class SamplerProcess(SampleLog):
         except ValueError:
             told = {"error": f"it left with code {self._process.wait()}"}
         if "error" in told or told["method"] != self._method:
-            self._process.kill()
+            _end(self._process)
             reason = told.get("error") or f"it found {told['method']} where {self._method} was"
             raise SourceUnavailableError(f"The sampler cannot read {self._method}: {reason}")
         self._reader = threading.Thread(target=self._read, args=(self._process,), name="samples", daemon=True)
@@ -140,7 +141,9 @@ class SamplerProcess(SampleLog):
         with process.stdout as stream:
             self._read_lines(stream, began_s, before_s)
         if not self._ended.is_set():
-            self._restart(process.wait())
+            code = process.wait()
+            _end(process)
+            self._restart(code)
 
     def _read_lines(self, stream: IO[str], began_s: float, before_s: float) -> None:
         for line in stream:
@@ -173,7 +176,7 @@ class SamplerProcess(SampleLog):
                 raise SourceUnavailableError(f"the sampler died again {at} (code {code})")
             self._launch()
             if self._ended.is_set() and self._process is not None:  # we were told to stop meanwhile
-                self._process.kill()
+                _end(self._process)
         except SourceUnavailableError as error:
             with self._news:
                 self._died = str(error)
@@ -181,6 +184,16 @@ class SamplerProcess(SampleLog):
             return
         with self._lock:
             self._watch.void(last_s, self._clock.now_s(), f"the sampler died {at} (code {code}) and was started again")
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    """Ends a child that is of no use, and closes what led to it."""
+    process.kill()
+    process.wait()
+    for stream in (process.stdin, process.stdout):
+        if stream is not None:
+            with contextlib.suppress(OSError):  # a request for a sample that was never read
+                stream.close()
 
 
 def sampler_cost(name: str = "auto", sysfs_root: Path = Path("/sys"), seconds: float = 2.0) -> float:

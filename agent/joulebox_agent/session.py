@@ -74,6 +74,8 @@ class Session:
         before = self._meter.conditions()
         if self._journal is not None:
             self._journal.resume(self.records, self._meter)
+            for index in range(len(self.records)):
+                self._decide(index)
         self._meter.start()
         try:
             self._measure()

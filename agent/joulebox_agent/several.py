@@ -123,7 +123,7 @@ def _priced(result: Result, record: Recording, powers: StagePowerFit | None, rea
                 )
                 for name, stage in document.stages.items()
             },
-            "window_data": tuple(w.model_copy(update={"energy_j": None}) for w in document.window_data),
+            "window_data": tuple(w.model_copy(update={"energy_j": None, "block": None}) for w in document.window_data),
             "conditions": document.conditions.model_copy(update={"after": after}),
         }
     )

@@ -57,6 +57,19 @@ class StateDir:
         return self.root / "scratch"
 
     @property
+    def leases(self) -> Path:
+        """Attempts that are ours and unfinished: what a killed agent gives back when it starts again."""
+        return self.root / "leases.json"
+
+    def leased(self) -> list[str]:
+        """Ids of those attempts; none when the file is missing or damaged, as they then expire by themselves."""
+        try:
+            attempts = json.loads(self.leases.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return []
+        return [str(attempt) for attempt in attempts] if isinstance(attempts, list) else []
+
+    @property
     def _device_file(self) -> Path:
         return self.root / "device.json"
 

@@ -18,6 +18,8 @@ from joulebox_agent.windows import Window
 
 LOOK_AT_REFRESH_S = 10.0
 MOST_VOID = 10  # void windows in a row, after which a configuration is not measurable here and now
+LEAD_REFRESHES = 3  # of rendering before the first and after the last window: a gauge shows a mean of the past,
+LEAD_SHARE = 0.2  # and what it shows at a window's edge should be of the same load; at most this share of a window
 Ending = Literal["enough", "time", "void", "trouble", "over", "low charge"]
 """void: the configuration is at fault; trouble: the source is, ask `Meter.trouble`."""
 
@@ -79,6 +81,8 @@ class Visit:
         self._void_in_a_row = 0
         self._ready_s: float | None = None
         self._ending: Ending | None = None
+        self._then: Ending | None = None  # how it ends once the load has lasted until `_edge_s`
+        self._lead_s = self._edge_s = 0.0
         self._looked_s, self._refresh_s = -math.inf, SLOWEST_REFRESH_S
 
     def run(self) -> Ending:
@@ -142,11 +146,19 @@ class Visit:
             self._warm = True
             if record.warm_up is None:
                 record.warm_up, record.warm_up_stages = image, stages
-            self._begin(image.end_s)
+            self._lead_s = self._needed_lead_s()
+            self._edge_s = image.start_s + self._lead_s
+            if image.end_s >= self._edge_s:
+                self._begin(image.end_s)
             return
         record.images.append(image)
+        if self._then is not None:
+            self._ending = self._then if image.end_s >= self._edge_s else None
+            return
         if self._open is None:
-            if self._meter.passing_fault(image.end_s, self._clock.now_s() + LOOK_EVERY_S) is None:
+            if self._meter.passing_fault(image.end_s, self._clock.now_s() + LOOK_EVERY_S) is not None:
+                self._edge_s = image.end_s + self._lead_s  # what the gauge shows next is still of the fault
+            elif image.end_s >= self._edge_s:
                 self._begin(image.end_s)
             return
         self._open.add(image, stages)
@@ -165,7 +177,9 @@ class Visit:
             return self._rule.window_s
         now_s = self._clock.now_s()
         if now_s - self._looked_s > LOOK_AT_REFRESH_S:
-            self._looked_s, self._refresh_s = now_s, self._meter.refresh_s() or SLOWEST_REFRESH_S
+            self._then: Ending | None = None  # how it ends once the load has lasted until `_edge_s`
+        self._lead_s = self._edge_s = 0.0
+        self._looked_s, self._refresh_s = now_s, self._meter.refresh_s() or SLOWEST_REFRESH_S
         return max(self._rule.window_s, refreshes * self._refresh_s)
 
     def _close(self, window: Window) -> None:
@@ -181,12 +195,27 @@ class Visit:
             self._record.blocks.append(self._block)
             self._void_in_a_row = 0
             self._open = Window(window.end_s)
+        wrote = self._on_window()
         if self._low():
-            self._ending = "low charge"
+            self._leave(window.end_s, "low charge")
         elif reason is None and self._enough():
-            self._ending = "enough"
-        if self._on_window() and self._ending is None:
+            self._leave(window.end_s, "enough")
+        elif wrote:
             self._open = None  # that took a moment: the image in progress is not worth its risk
+
+    def _leave(self, end_s: float, ending: Ending) -> None:
+        """Ends the visit, after a few more refreshes of the same load for the sake of the last window's edge."""
+        self._open = None
+        if self._lead_s > 0:
+            self._then, self._edge_s = ending, end_s + self._lead_s
+        else:
+            self._ending = ending
+
+    def _needed_lead_s(self) -> float:
+        source = self._meter.choice.source
+        if source.quality == "none" or source.primary != "power" or not self._rule.meter:
+            return 0.0
+        return min(LEAD_REFRESHES * (self._meter.refresh_s() or SLOWEST_REFRESH_S), LEAD_SHARE * self._rule.window_s)
 
     def _make_void(self, window: Window, reason: str) -> None:
         """Lists the window as void; the next begins at the end of a later image."""
@@ -194,6 +223,7 @@ class Visit:
         self._record.voided.append(VoidWindow(window.start_s, end_s, window.images, reason))
         self._meter.listener.note(f"window void: {reason}")
         self._open = None
+        self._edge_s = self._clock.now_s() + self._lead_s
         self._void_in_a_row += 1
         if self._void_in_a_row >= MOST_VOID:
             self._record.make_void(f"{MOST_VOID} windows in a row were void, the last because {reason}", True)
@@ -221,6 +251,8 @@ class Visit:
         """Whether the time limit ends the loop: never before one image exists, which a hung renderer's
         silence limit bounds."""
         spent_s = self._record.spent_s + self._clock.now_s() - ready_s
+        if self._then is not None:
+            return False
         if spent_s <= self._rule.max_seconds or self._record.last_image is None:
             return False
         self._ending = "time"

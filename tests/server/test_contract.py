@@ -22,9 +22,9 @@ MODELS: dict[str, Any] = {
 }
 FREE = ("settings", "changed", "conditions", "photons", "plan", "settings_schema", "defines", "axes", "stages")
 """Objects whose names are not ours to fix."""
-UNITS = ("_j", "_s", "_uj", "_us", "_wh", "_w", "_m", "_bytes", "_deg", "_cd_m2", "_percent")
+UNITS = ("_j", "_s", "_uj", "_us", "_wh", "_w", "_m", "_bytes", "_deg", "_cd_m2", "_percent", "_share")
 UNITLESS = {
-    *("schema", "images", "windows", "min_windows", "max_windows", "half_width", "confidence"),
+    *("schema", "images", "windows", "block", "min_windows", "max_windows", "half_width", "confidence"),
     *("max_seconds", "cores", "threads", "rays", "repeats", "limit", "limit_per_pixel", "width", "height"),
     *("exposure", "metric_version", "share_of_limit", "saves_share", "flip_mean", "ssim", "rmse_srgb", "relmse"),
     *("difference", "difference_per_pixel", "noise_floor"),

@@ -13,6 +13,7 @@ import platformdirs
 import stamina.instrumentation
 import typer
 
+from joulebox_agent.charging import Band
 from joulebox_agent.daemon import Daemon, RunOptions
 from joulebox_agent.errors import UsageError
 from joulebox_agent.loop import renderer_command
@@ -79,6 +80,12 @@ def run(
     source: Annotated[str, typer.Option(help="Energy source, as for measure.")] = "auto",
     renderer: Annotated[str | None, typer.Option(help="Command that speaks the loop protocol.")] = None,
     wait_s: Annotated[float, typer.Option(min=0, max=30, help="How long the server may hold a request.")] = 5.0,
+    charge_band: Annotated[
+        str, typer.Option(metavar="HIGH-LOW", help="Measure between these charges (percent).")
+    ] = "90-30",
+    charge_hook: Annotated[
+        str | None, typer.Option(metavar="COMMAND", help="Called with on or off to charge (a smart plug).")
+    ] = None,
     sysfs_root: Annotated[Path, typer.Option(help="Folder that plays /sys.")] = Path("/sys"),
     state_dir: StateOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Log as JSON lines.")] = False,
@@ -98,6 +105,8 @@ def run(
         max_jobs=max_jobs,
         idle_exit_s=idle_exit_s,
         wait_s=wait_s,
+        charge_band=Band.parse(charge_band),
+        charge_hook=charge_hook,
     )
     stamina.instrumentation.set_on_retry_hooks([])  # the daemon has its own words for trouble
     server, log = Server(enrolment.server, enrolment.token), _json_log if as_json else _log
