@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 TIMES_S = (30.0, 60.0, 120.0, 240.0, 480.0)  # correlation times tried
-FEWEST_PIECES = 8
-NOTICED = 0.8  # odds of drift, from which on an interval is widened
+FEWEST_PIECES = 8  # fewer tell nothing, and even odds of nothing are no evidence
+NOTICED = 13.0  # odds of drift times pieces, from which on an interval is widened
 SIZES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # variances of the drift tried, in units of one row's white variance
 
 
@@ -69,15 +69,16 @@ def widening(values: Floats, starts_s: Floats, lengths_s: Floats, window_count: 
 
     Under drift neighbouring windows err alike: the spread between them understates the error of their mean. The
     square of the factor is the ratio of the two, averaged over the grid, where the odds of drift against none (even
-    beforehand) are above NOTICED. Those are low odds: without drift it is mostly a wide spread that is widened
-    further, which adds 0.4 % to the coverage; with 3 % of drift over two minutes, 91 % of pilots show it.
+    beforehand) are above a limit. It is low, and falls with the pieces as the odds do that come from nothing: without
+    drift it is mostly a wide spread that is widened further, which adds 0.5 % to the coverage, while with 3 % of
+    drift over two minutes 91 % of pilots of five windows show it.
     1 without drift, and from fewer than FEWEST_PIECES pieces or values that do not differ.
     """
     count = len(values)
     if count < FEWEST_PIECES or window_count < 2 or not np.ptp(values) > 0:
         return 1.0
     known = fit(np.ones((count, 1)), values, starts_s, lengths_s, 0.5)
-    if known.weights[1:].sum() < NOTICED * known.weights[0]:
+    if known.weights[1:].sum() < min(0.8, max(0.4, NOTICED / count)) * known.weights[0]:
         return 1.0
     gather = np.kron(np.eye(window_count), np.full((1, count // window_count), window_count / count))
     windows = gather @ known.ratios @ gather.T  # (m, w, w)

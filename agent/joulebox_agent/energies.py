@@ -7,7 +7,7 @@ import numpy as np
 
 from joulebox_agent import drift
 from joulebox_agent.calibration import Calibration
-from joulebox_agent.estimate import Interval, t_quantile
+from joulebox_agent.estimate import Interval, two_stage_interval
 from joulebox_agent.lag import Lag, fit_lag
 from joulebox_agent.series import PowerSeries
 from joulebox_agent.sources.reading import EnergySource, Primary
@@ -18,7 +18,6 @@ FEWEST_STEPS = 5  # of a counter in a window, below which its difference says li
 DISAGREEMENT_NOTED = 0.05  # share by which a counter may differ from the gauge unmentioned
 REJECTED_BEYOND = 2.0  # times the gauge's energy, or its inverse
 IDLE_PIECES = 3
-IDLE_WITHOUT_DRIFT = 0.5  # the blocks before and after lie minutes apart
 PIECE_UPDATES, MOST_PIECES = 5, 4  # pieces of a window, in which drift within it shows
 MANY_WINDOWS, MOST_ROWS = 20, 240  # from which on they show drift uncut; pieces that are looked at
 NO_LAG = Lag(0.0, ())
@@ -194,14 +193,11 @@ def idle_power(
             starts_s.append(from_s)
             lengths_s.append(length_s)
             pieces_w.append(energy_j / length_s)
-    if not pieces_w:
+    if len(pieces_w) < 2:
         return None
-    fitted = drift.fit(
-        np.ones((len(pieces_w), 1)), np.array(pieces_w), np.array(starts_s), np.array(lengths_s), IDLE_WITHOUT_DRIFT
-    )
-    value = float(fitted.coefficients[0])
-    half = t_quantile(fitted.degrees_of_freedom) * float(fitted.covariance[0, 0]) ** 0.5
-    return Interval(value=value, low=value - half, high=value + half)
+    count = len(pieces_w)
+    wider = drift.widening(np.array(pieces_w), np.array(starts_s), np.array(lengths_s), count, count)
+    return two_stage_interval(pieces_w, count, widening=wider)
 
 
 def integrated_stage_energies(

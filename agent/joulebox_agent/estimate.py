@@ -28,7 +28,7 @@ class Interval(BaseModel):
         return self.value - self.low
 
 
-def t_quantile(degrees_of_freedom: int, confidence: float = CONFIDENCE) -> float:
+def t_quantile(degrees_of_freedom: float, confidence: float = CONFIDENCE) -> float:
     """Student's t such that |t| is exceeded with probability 1 - confidence."""
     return float(stdtrit(degrees_of_freedom, 0.5 + confidence / 2))
 
@@ -71,8 +71,29 @@ def windows_needed(
     return max(len(pilot), math.ceil(needed))
 
 
-def net_of_idle(gross: Interval, idle_w: Interval, time_s: float) -> Interval:
-    """Energy above idle: gross - P_idle x T, with both half-widths added in quadrature."""
-    value = gross.value - idle_w.value * time_s
-    half = math.hypot(gross.half_width, idle_w.half_width * time_s)
-    return Interval(value=value, low=value - half, high=value + half)
+def net_of_idle(
+    values_j: Sequence[float],
+    times_s: Sequence[float],
+    idle_w: Interval,
+    idle_pieces: int,
+    pilot_count: int,
+    widening: float = 1.0,
+) -> Interval:
+    """Energy above idle: gross - P_idle x T, window by window, with the variance of idle carried through.
+
+    values_j, times_s  gross energy and wall time per image of every window; longer images cost more and idle longer,
+                       so the spread of the difference is not that of the gross energy
+    idle_pieces        stretches whose spread idle_w rests on
+    Degrees of freedom of the sum after Welch 1947; adding the half-widths in quadrature would hold 98.5 %.
+    """
+    above_j = [value_j - idle_w.value * time_s for value_j, time_s in zip(values_j, times_s, strict=True)]
+    over_windows = two_stage_interval(above_j, pilot_count, widening=widening)
+    parts = [
+        (over_windows.half_width, min(len(above_j), max(2, pilot_count)) - 1),
+        (idle_w.half_width * float(np.mean(times_s)), idle_pieces - 1),
+    ]
+    variances = [((half / t_quantile(freedom)) ** 2, freedom) for half, freedom in parts]
+    total = sum(variance for variance, _ in variances)
+    spread = sum(variance**2 / freedom for variance, freedom in variances)
+    half = t_quantile(total**2 / spread) * math.sqrt(total) if spread > 0 else 0.0
+    return Interval(value=over_windows.value, low=over_windows.value - half, high=over_windows.value + half)

@@ -16,7 +16,7 @@ from joulebox_agent.document import (
     VoidWindowRecord,
     WindowRecord,
 )
-from joulebox_agent.energies import WindowEnergies, idle_power, window_energies
+from joulebox_agent.energies import IDLE_PIECES, WindowEnergies, idle_power, window_energies
 from joulebox_agent.errors import RendererError
 from joulebox_agent.estimate import Interval, net_of_idle, two_stage_interval
 from joulebox_agent.loop import ImageEvent, ReadyEvent
@@ -104,7 +104,7 @@ def _find(record: Recording, rule: MeasureRule) -> _Findings:
     idle_w = idle_power(series, record.source, record.idle, energies.lag_s) if record.idle else None
     if record.idle and idle_w is None:
         notes.append("net energy is unknown: the source is too slow for the idle time, make --idle-s longer")
-    per_image = _energy_per_image(energies, windows, idle_w, rule.min_windows)
+    per_image = _energy_per_image(energies, windows, idle_w, IDLE_PIECES * len(record.idle), rule.min_windows)
     per_image = per_image.within(record.source_report.scale_range)
     if record.source.quality != "none" and per_image.gross is None and not energies.notes and record.void is None:
         notes.append("energy is unknown: it needs at least two windows with readings")
@@ -165,7 +165,11 @@ def _energies(record: Recording, series: PowerSeries, windows: list[Window], pil
 
 
 def _energy_per_image(
-    energies: WindowEnergies, windows: list[Window], idle_w: Interval | None, pilot_count: int
+    energies: WindowEnergies,
+    windows: list[Window],
+    idle_w: Interval | None,
+    idle_pieces: int,
+    pilot_count: int,
 ) -> EnergyPerImage:
     def interval(values_j: tuple[float | None, ...]) -> Interval | None:
         known = [v / w.images for v, w in zip(values_j, windows, strict=True) if v is not None]
@@ -174,7 +178,15 @@ def _energy_per_image(
     gross, counter = interval(energies.gross_j), interval(energies.counter_j)
     net = None
     if gross is not None and idle_w is not None:
-        net = net_of_idle(gross, idle_w, sum(w.wall_s for w in windows) / sum(w.images for w in windows))
+        known = [(e, w) for e, w in zip(energies.gross_j, windows, strict=True) if e is not None]
+        net = net_of_idle(
+            [energy_j / w.images for energy_j, w in known],
+            [w.wall_s / w.images for _, w in known],
+            idle_w,
+            idle_pieces,
+            pilot_count,
+            energies.widening,
+        )
     return EnergyPerImage(gross=gross, net=net, counter=counter)
 
 

@@ -148,9 +148,12 @@ def test_idle_power_and_net() -> None:
     assert idle is not None
     assert idle.low < 8.5 < idle.high
     assert idle_power(series, GAUGE, [(0.0, 3.0)]) is None  # a third of it holds no update
-    net = net_of_idle(Interval(value=20.0, low=19.0, high=21.0), Interval(value=8.0, low=7.5, high=8.5), 2.0)
+    times_s = [1.9, 2.0, 2.1]  # images that take longer cost more: 10 W, all of it, 2 W above idle
+    net = net_of_idle([19.0, 20.0, 21.0], times_s, Interval(value=8.0, low=7.5, high=8.5), 6, 3)
     assert net.value == pytest.approx(4.0)
-    assert net.half_width == pytest.approx(np.hypot(1.0, 1.0))
+    of_windows, of_idle = 0.2**2 / 3, (0.5 / t_quantile(5) * 2.0) ** 2
+    freedom = (of_windows + of_idle) ** 2 / (of_windows**2 / 2 + of_idle**2 / 5)  # Welch
+    assert net.half_width == pytest.approx(t_quantile(freedom) * (of_windows + of_idle) ** 0.5)
 
 
 def test_student_quantiles_of_the_tables() -> None:

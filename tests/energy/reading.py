@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from joulebox_agent.energies import WindowEnergies, idle_power, window_energies
+from joulebox_agent.energies import IDLE_PIECES, WindowEnergies, idle_power, window_energies
 from joulebox_agent.estimate import Interval, net_of_idle, two_stage_interval, windows_needed
 from joulebox_agent.loop import ImageEvent, StageEvent
 from joulebox_agent.sampler import Sampler
@@ -188,7 +188,8 @@ def measure(seed: int, machine: Machine, gauge: Gauge, rule: Rule, root: Path | 
     if None not in found.gross_j:
         gross = two_stage_interval(_per_image(found, windows), rule.pilot, widening=found.widening)
         if idle_w is not None:
-            net = net_of_idle(gross, idle_w, sum(w.wall_s for w in windows) / sum(w.images for w in windows))
+            times_s = [w.wall_s / w.images for w in windows]
+            net = net_of_idle(_per_image(found, windows), times_s, idle_w, 2 * IDLE_PIECES, rule.pilot, found.widening)
     return Measured(gross, net, float(np.mean(per_image)), windows, found, drawn_j)
 
 
