@@ -1,6 +1,9 @@
 """How a sweep's file becomes configurations: every rule, drawn or written out, and what a preview says."""
 
 import math
+import re
+import tomllib
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -137,3 +140,15 @@ def test_preview_of_charges(server: Server) -> None:
     assert found["energy_j"] == pytest.approx(10 * least_s, rel=1e-3)
     assert found["battery_charges"] == pytest.approx(10 * least_s / (0.6 * 36_000), rel=1e-3)
     assert found["battery_full_j"] == 36_000.0
+
+
+def test_the_sweep_in_the_docs() -> None:
+    """docs/fleet.md shows a sweep that is one: 64 configurations, of which four fill 20 windows."""
+    text = (Path(__file__).parents[2] / "docs" / "fleet.md").read_text(encoding="utf-8")
+    shown = tomllib.loads(re.search(r"```toml\n(.*?)```", text, re.DOTALL)[1])  # type: ignore[index]
+    found = SweepDefinition.model_validate(shown)
+    measured = configurations(found)
+    jobs = plan_jobs(found, measured, reference_configuration(found), "docs")
+    assert len(measured) == 64
+    assert sum(job.metered and job.purpose == "measure" for job in jobs) == 4 * 2
+    assert sum(job.purpose == "control" for job in jobs) == 2 * 3 * 2
