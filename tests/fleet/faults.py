@@ -104,8 +104,8 @@ class World:
         ends_s = time.monotonic() + PATIENCE_S
         while True:
             with self.database() as db:
-                stored = dict(db.execute("SELECT attempt_id, pixel_sha256 FROM result").fetchall())
-                count = db.execute("SELECT count(*) FROM result").fetchone()[0]
+                found = db.execute("SELECT attempt_id, pixel_sha256 FROM result").fetchall()
+            stored, count = dict(found), len(found)
             missing = expected.keys() - stored.keys()
             if not missing and count >= progress:
                 break

@@ -215,7 +215,7 @@ class Lives(RuleBasedStateMachine):
         else:
             assert self.store.write(sweeps.retry_failed, self.sweep)[1] == len(failed)
 
-    @precondition(lambda self: len(self.attempts) > 6)
+    @precondition(lambda self: len(self.attempts) > 2)
     @rule(action=st.sampled_from(["pause", "resume", "resume", "cancel"]))
     def act(self, action: str) -> None:
         state = self.store.read(rows, "SELECT state FROM sweep")[0]["state"]
@@ -234,6 +234,8 @@ class Lives(RuleBasedStateMachine):
         stored = {job["id"]: job for job in self.store.read(rows, "SELECT * FROM job")}
         assert {key: job["state"] for key, job in stored.items()} == {k: j["state"] for k, j in self.jobs.items()}
         assert {key: job["attempts"] for key, job in stored.items()} == {k: j["attempts"] for k, j in self.jobs.items()}
+        waiting = {key: job["not_before_us"] for key, job in stored.items() if job["state"] == "queued"}
+        assert waiting == {k: j["not_before"] for k, j in self.jobs.items() if j["state"] == "queued"}
         found = {attempt["id"]: attempt["state"] for attempt in self.store.read(rows, "SELECT * FROM attempt")}
         assert found == {key: attempt["state"] for key, attempt in self.attempts.items()}
 
@@ -256,7 +258,7 @@ def lives(tmp_path: Path, examples: int, steps: int) -> None:
 
 
 def test_the_store_lives_by_the_table(tmp_path: Path) -> None:
-    lives(tmp_path, examples=15, steps=30)
+    lives(tmp_path, examples=20, steps=30)
 
 
 @pytest.mark.long

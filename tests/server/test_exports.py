@@ -5,6 +5,7 @@ import logging
 import os
 import shlex
 import shutil
+import socket
 import sqlite3
 import subprocess
 import sys
@@ -165,6 +166,13 @@ def test_the_line_for_another_machine(tmp_path: Path) -> None:
     (tmp_path / "joulebox_agent-1-py3-none-any.whl").touch()
     assert "--trusted-host lab.example" in join_command(tmp_path, "http://lab.example:8473", "A-B-C")
     assert "--trusted-host" not in join_command(tmp_path, "https://lab.example:8473", "A-B-C")
+
+
+def test_the_line_names_the_machine_when_others_may_come(tmp_path: Path, executor: Any) -> None:
+    """Asked from the server's own machine, under an address that would lead a device to itself."""
+    with serving(tmp_path, executor, host="0.0.0.0") as server:
+        line = server.client.post("/v1/enrollments", headers=server.operator, json={}).json()["join"]
+        assert f"--server http://{socket.gethostname()} " in line
 
 
 def test_a_line_for_each_request(server: Server, caplog: pytest.LogCaptureFixture) -> None:

@@ -68,6 +68,30 @@ def test_expiry_and_late_result(server: Server) -> None:
     assert found.count(lost["job_id"]) == 2
 
 
+def test_late_result_answers_for_a_later_attempt_that_fails(server: Server) -> None:
+    """While another attempt runs, a late result changes nothing; when that one is given back, nobody starts anew."""
+    server.add_sweep(axes={}, repeats=1)
+    device = server.device()
+    slow = device.lease()[0]
+    server.clock.ahead_s = PAST_ANY_LEASE_S
+    again = device.lease()[0]
+    assert again["job_id"] == slow["job_id"]
+    assert device.finish(slow).json() == {"accepted": "late"}
+    path = f"/v1/attempts/{again['attempt_id']}/release"
+    server.client.post(path, headers=device.headers, json={"reason": "warm"})
+    assert state_of(server, slow["job_id"])["state"] == "done"
+
+
+def test_what_a_cancelled_sweep_gets_back_is_not_queued(server: Server) -> None:
+    sweep = server.add_sweep(axes={}, repeats=1)
+    device = server.device()
+    lease = device.lease()[0]
+    server.client.patch(f"/v1/sweeps/{sweep['id']}", headers=server.operator, json={"action": "cancel"})
+    path = f"/v1/attempts/{lease['attempt_id']}/release"
+    server.client.post(path, headers=device.headers, json={"reason": "stopped"})
+    assert state_of(server, lease["job_id"])["state"] == "cancelled"
+
+
 def test_late_result_answers_a_waiting_job(server: Server) -> None:
     server.add_sweep(axes={}, repeats=1)
     device = server.device()

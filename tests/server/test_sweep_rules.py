@@ -1,6 +1,9 @@
 """How a sweep's file becomes configurations: every rule, drawn or written out, and what a preview says."""
 
 import math
+import re
+import tomllib
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -48,6 +51,13 @@ def test_a_whole_range_draws_each_value_alike() -> None:
     """Ends included: 5 values of 2,000 draws without repetition are all of them."""
     found = configurations(definition(rule="random", samples=5, axes={"n": {"low": 1, "high": 5}}))
     assert sorted(configuration.changed["n"] for configuration in found) == [1, 2, 3, 4, 5]
+
+
+def test_the_ends_of_a_whole_range_come_as_often_as_its_middle() -> None:
+    """3,000 draws of 1, 2, 3: each 1,000 times, sigma 26; 5 sigma either way is a false alarm once in a million."""
+    axes = {"n": {"low": 1, "high": 3}, "other": {"low": 0.0, "high": 1.0}}
+    found = [one.changed["n"] for one in configurations(definition(rule="random", samples=3000, axes=axes))]
+    assert all(abs(found.count(value) - 1000) < 130 for value in (1, 2, 3))
 
 
 def test_a_space_that_holds_fewer_than_asked() -> None:
@@ -137,3 +147,15 @@ def test_preview_of_charges(server: Server) -> None:
     assert found["energy_j"] == pytest.approx(10 * least_s, rel=1e-3)
     assert found["battery_charges"] == pytest.approx(10 * least_s / (0.6 * 36_000), rel=1e-3)
     assert found["battery_full_j"] == 36_000.0
+
+
+def test_the_sweep_in_the_docs() -> None:
+    """docs/fleet.md shows a sweep that is one: 64 configurations, of which four fill 20 windows."""
+    text = (Path(__file__).parents[2] / "docs" / "fleet.md").read_text(encoding="utf-8")
+    shown = tomllib.loads(re.search(r"```toml\n(.*?)```", text, re.DOTALL)[1])  # type: ignore[index]
+    found = SweepDefinition.model_validate(shown)
+    measured = configurations(found)
+    jobs = plan_jobs(found, measured, reference_configuration(found), "docs")
+    assert len(measured) == 64
+    assert sum(job.metered and job.purpose == "measure" for job in jobs) == 4 * 2
+    assert sum(job.purpose == "control" for job in jobs) == 2 * 3 * 2

@@ -1,6 +1,7 @@
 """Devices: enrolment, capabilities, health, where their pictures disagree."""
 
 import hmac
+import socket
 from typing import Any
 
 from fastapi import APIRouter, Request, Response
@@ -22,6 +23,7 @@ from joulebox_server.schemas.device import (
     HealthRequest,
 )
 from joulebox_server.services import DeviceId, Operator, Services, ServicesOf, Viewer
+from joulebox_server.settings import is_loopback
 from joulebox_server.store import agreement, devices, leases, tokens
 from joulebox_server.store.database import etag
 from joulebox_server.store.ids import timestamp
@@ -39,8 +41,16 @@ def create_enrollment(
     return EnrollmentDocument(
         code=code,
         expires_at=timestamp(expires_at_us) or "",
-        join=join_command(services.settings.wheels_dir, str(asked.base_url).rstrip("/"), code),
+        join=join_command(services.settings.wheels_dir, _url_for_others(services, asked), code),
     )
+
+
+def _url_for_others(services: Services, asked: Request) -> str:
+    """The address by which devices reach this server: as asked, but by the machine's name when asked from itself."""
+    url = asked.base_url
+    if is_loopback(url.hostname or "") and not services.settings.loopback:
+        url = url.replace(hostname=socket.gethostname())
+    return str(url).rstrip("/")
 
 
 @router.post("/devices", status_code=201, responses=told(409, 413, 429, 507))
