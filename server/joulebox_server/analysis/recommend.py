@@ -21,7 +21,7 @@ from joulebox_server.analysis.reasons import Case, none_reasons, reasons
 from joulebox_server.analysis.words import figure
 
 PROPOSALS = 3
-"""Predicted combinations that an answer names unless more are asked for."""
+"""Better settings to confirm that an answer names unless more are asked for."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def recommend(
     difference_limit    in the trade-off's own unit; its acceptable limit unless given
     confidence          must be the one that the trade-off was built at; None takes that
     predict             rank predictions together with what was measured, rather than after it
-    proposals           how many combinations that were never measured to name where they promise more
+    proposals           how many settings to name that promise more but were not measured, or not surely enough
     told_budget         where the budget comes from, in words
     transferred         predictions from other devices' runs of configurations that this one has not run
     known               `candidates(tradeoff, axis)` where they have been found for another question already
@@ -100,7 +100,7 @@ def recommend(
     if not fitting and not predict:
         fitting = _fitting(terms, predicted)
     case = Case(tradeoff, terms.axis, terms.budget, terms.limit, told_budget, fitting, measured, predicted)
-    proposed = _proposals(tradeoff, terms, fitting[:1], predicted, proposals)
+    proposed = _proposals(tradeoff, terms, fitting[:1], [*measured, *predicted], proposals)
     if not fitting:
         return _no_answer(case, terms, measured or predicted, proposed)
     best = _choice(tradeoff, fitting[0], terms)
@@ -136,13 +136,14 @@ def _fitting(terms: Terms, known: Sequence[Candidate]) -> list[Candidate]:
 
 
 def _proposals(
-    tradeoff: Tradeoff, terms: Terms, chosen: Sequence[Candidate], predicted: Sequence[Candidate], count: int
+    tradeoff: Tradeoff, terms: Terms, chosen: Sequence[Candidate], known: Sequence[Candidate], count: int
 ) -> list[Choice]:
-    """Predictions that promise to fit and to be better than what was chosen, the best first."""
+    """What promises to fit and to be better than what was chosen, but does not surely fit; the best first."""
     level = min((terms.gain(candidate) for candidate in chosen), default=float("inf"))
-    promising = [c for c in predicted if c not in chosen and terms.promises(c) and terms.gain(c) < level]
-    promising.sort(key=lambda candidate: (terms.gain(candidate), candidate.key))
-    return [_choice(tradeoff, candidate, terms) for candidate in promising[:count]]
+    promising = [c for c in known if c not in chosen and terms.promises(c) and terms.gain(c) < level]
+    loose = [c for c in promising if c.basis == "predicted" or not terms.fits(c)]
+    loose.sort(key=lambda candidate: (terms.gain(candidate), candidate.key))
+    return [_choice(tradeoff, candidate, terms) for candidate in loose[:count]]
 
 
 def _question(tradeoff: Tradeoff, terms: Terms) -> dict[str, Any]:

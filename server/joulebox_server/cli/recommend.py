@@ -28,7 +28,7 @@ def recommend(
         bool, typer.Option("--predict", help="Let combinations that were never measured answer too.")
     ] = False,
     confirm: Annotated[
-        int | None, typer.Option(min=1, max=50, help="Queue so many of the combinations that promise more.")
+        int | None, typer.Option(min=1, max=50, help="Queue runs of so many settings that promise more.")
     ] = None,
     server: ServerOption = None,
     token: TokenOption = None,
@@ -89,7 +89,8 @@ def _print_recommendation(found: dict[str, Any]) -> None:
     for choice in found["nearest"]:
         typer.echo(f"nearest: {choice['label']}: {choice['misses']}")
     for choice in found["proposals"]:
-        typer.echo(f"promises more, unmeasured: {choice['label']}: difference {quantity(choice['difference'], '')}")
+        told = "never measured" if choice["basis"] == "predicted" else "not known well enough"
+        typer.echo(f"promises more, {told}: {choice['label']}: difference {quantity(choice['difference'], '')}")
 
 
 def _energy(found: dict[str, Any]) -> str:

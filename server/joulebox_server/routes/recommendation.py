@@ -63,10 +63,9 @@ def confirm(
     asked: Annotated[RecommendationQuery, Query()],
     request: ConfirmRequest,
 ) -> dict[str, Any]:
-    """Queue the combinations that promise most; the recommendation changes as their results arrive."""
+    """Queue the settings that promise most; the recommendation changes as their results arrive."""
     found = services.store.read(_recommended, sweep, asked, request.count)
-    settings = [choice.settings for choice in found.proposals if choice.configuration_id is None]
-    queued = services.store.write(confirmation.queue, sweep, found.scene, found.device, settings)
+    queued = services.store.write(confirmation.queue, sweep, found.scene, found.device, found.proposals)
     return {"queued_jobs": queued, "proposals": [choice.model_dump(mode="json") for choice in found.proposals]}
 
 

@@ -1,66 +1,74 @@
 """Runs added to a sweep to confirm what was predicted."""
 
 from collections.abc import Sequence
-from typing import Any
 
 from sqlite_utils import Database
 
+from joulebox_server.analysis.documents import Choice
 from joulebox_server.errors import ConflictError, NotFoundError
 from joulebox_server.store import sweeps
-from joulebox_server.store.database import Row, number, row
+from joulebox_server.store.database import number, row, rows
 from joulebox_server.store.ids import new_id
 from joulebox_server.sweeps.expansion import added_configuration
 
 
-def queue(db: Database, sweep_key: str, scene: str, device: str, settings: Sequence[dict[str, Any]]) -> int:
-    """Add combinations of a sweep's axes to it, for one scene and device; returns how many jobs are new.
+def queue(db: Database, sweep_key: str, scene: str, device: str, choices: Sequence[Choice]) -> int:
+    """Add runs to a sweep for one scene and device; returns how many jobs are new.
 
-    Each is measured as often as every configuration of the sweep, with the same seeds. What the sweep holds
-    already is not added again. Raises ConflictError when the sweep is cancelled.
+    A combination of the sweep's axes that was never run is measured as often as every configuration of the sweep,
+    with the same seeds; one that was measured is measured as often again, with new seeds. Nothing is added to what
+    waits already, nor, where every repeat is compared with a reference of its own seed, to what was measured.
+    Raises ConflictError when the sweep is cancelled.
     """
     sweep = sweeps.find(db, sweep_key)
     sweep_id = str(sweep["id"])
     if sweep["state"] == "cancelled":
         raise ConflictError(f"the sweep {sweep['name']!r} is cancelled; submit it again instead")
     definition = sweeps.definition_of(sweep)
-    target, place = _target(db, sweep_id, device), _scene(db, sweep_id, scene)
+    place = {"target_id": _target(db, sweep_id, device), "sweep_scene_id": _scene(db, sweep_id, scene)}
     block = number(db, "SELECT max(block) FROM job WHERE sweep_id = ?", (sweep_id,)) + 1
     added = 0
-    for position, given in enumerate(settings):
-        configuration = added_configuration(definition, given)
-        configuration_id = sweeps.add_configuration(db, sweep_id, configuration, "measure", -1)
-        for repeat in range(definition.repeats):
-            job = {
-                "id": new_id(),
-                "sweep_id": sweep_id,
-                "target_id": target["id"],
-                "sweep_scene_id": place["id"],
-                "configuration_id": configuration_id,
-                "purpose": "measure",
-                "repeat": repeat,
-                "seed": definition.base_seed + repeat,
-                "block": block + repeat,
-                "position": position,
-                "state": "queued",
-            }
-            names = ", ".join(job)
-            marks = ", ".join("?" * len(job))
-            cursor = db.execute(f"INSERT OR IGNORE INTO job ({names}) VALUES ({marks})", tuple(job.values()))
-            added += cursor.rowcount
+    for position, choice in enumerate(choices):
+        configuration_id = choice.configuration_id
+        if configuration_id is None:
+            configuration = added_configuration(definition, choice.settings)
+            configuration_id = sweeps.add_configuration(db, sweep_id, configuration, "measure", -1)
+        first = _next_repeat(db, sweep_id, configuration_id, place)
+        if first is None or (first > 0 and definition.reference.seed_policy == "same"):
+            continue
+        for repeat in range(first, first + definition.repeats):
+            order = {"block": block + repeat - first, "position": position, "state": "queued"}
+            identity = {"configuration_id": configuration_id, "purpose": "measure", "repeat": repeat}
+            seed = definition.base_seed + repeat
+            db.table("job").insert({"id": new_id(), "sweep_id": sweep_id, **place, **identity, "seed": seed, **order})
+            added += 1
     if added:
         sweeps.reopen(db, sweep_id)
     return added
 
 
-def _target(db: Database, sweep_id: str, device: str) -> Row:
+def _next_repeat(db: Database, sweep_id: str, configuration_id: str, place: dict[str, str]) -> int | None:
+    """The number of the first repeat that was not run; None while others of the configuration wait."""
+    known = rows(
+        db,
+        """SELECT repeat, state FROM job WHERE sweep_id = ? AND configuration_id = ? AND target_id = ?
+        AND sweep_scene_id = ? AND purpose = 'measure'""",
+        (sweep_id, configuration_id, place["target_id"], place["sweep_scene_id"]),
+    )
+    if any(job["state"] in ("queued", "leased") for job in known):
+        return None
+    return 1 + max((int(job["repeat"]) for job in known), default=-1)
+
+
+def _target(db: Database, sweep_id: str, device: str) -> str:
     for known in sweeps.target_devices(db, sweep_id):
         if known["name"] == device:
-            return {"id": known["target_id"]}
+            return str(known["target_id"])
     raise NotFoundError(f"no device named {device!r} works on this sweep")
 
 
-def _scene(db: Database, sweep_id: str, label: str) -> Row:
+def _scene(db: Database, sweep_id: str, label: str) -> str:
     found = row(db, "SELECT id FROM sweep_scene WHERE sweep_id = ? AND label = ?", (sweep_id, label))
     if found is None:
         raise NotFoundError(f"this sweep has no scene {label!r}")
-    return found
+    return str(found["id"])
