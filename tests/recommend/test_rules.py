@@ -27,6 +27,7 @@ def test_the_code_has_the_frozen_rules():
         "min_repeated_points": scatter.MIN_POINTS,
         "min_points": surrogate.MIN_POINTS,
         "min_points_per_effect": surrogate.POINTS_PER_EFFECT,
+        "difference_tails": surrogate.DIFFERENCE_TAILS,
     }
 
 
