@@ -130,3 +130,10 @@ def read_reference(grid: Grid) -> dict[str, Any]:
     """How the reference of a grid was made, its noise floor, and what the preset `reference` takes and reaches."""
     found: dict[str, Any] = json.loads((DATA / f"{grid.scene}.json").read_text(encoding="utf-8"))
     return found
+
+
+def is_complete(grid: Grid, name: str) -> bool:
+    """Whether the study of a set of seeds was finished: its last render is as often there as the first of its kind."""
+    seeds = [render.seed for render in read_renders(grid)]
+    first, last = (seeds.count(seed) for seed in (TRUTH_SEEDS[name][0], TRUTH_SEEDS[name][-1]))
+    return 0 < first == last

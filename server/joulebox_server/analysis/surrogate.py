@@ -25,6 +25,10 @@ from joulebox_server.analysis.scatter import factor
 MIN_POINTS = 8
 POINTS_PER_EFFECT = 2
 """Fewer measured points than this, or than two for each value that a setting was changed to, teach nothing."""
+DIFFERENCE_TAILS = 1.4
+"""By what factor intervals of predicted differences are wider than points that are left out show.
+
+Those share the seeds of all others, and a seed's luck is not quite the same for every setting."""
 MAX_COMBINATIONS = 20_000
 """Of larger grids a sample of this many is looked at."""
 _TINY = 1e-6
@@ -60,7 +64,7 @@ class Surrogate:
         shared = self._tradeoff.shared
         return (
             _Fit(factors, codes, costs, shared.of(self._axis), self._tradeoff.confidence),
-            _Fit(factors, codes, differences, shared.difference_share, self._tradeoff.confidence),
+            _Fit(factors, codes, differences, shared.difference_share, self._tradeoff.confidence, DIFFERENCE_TAILS),
         )
 
     def steadied(self) -> list[tuple[Point, Interval, Interval]]:
@@ -97,6 +101,7 @@ class _Fit:
     """A quantity's regression in logs, and how much its intervals must be widened.
 
     shared   half-width that all points have in common, as a share: no comparison of points tells anything of it
+    tails    factor on the intervals of predictions
     """
 
     def __init__(
@@ -106,25 +111,35 @@ class _Fit:
         measured: Sequence[Interval],
         shared: float,
         confidence: float,
+        tails: float = 1.0,
     ) -> None:
-        self._shared, self._normal = shared, factor(confidence, math.inf)
+        self._shared, self._normal, self._tails = shared, factor(confidence, math.inf), tails
         values = np.array([max(each.value, _TINY) for each in measured])
         half = np.array([each.high - each.value for each in measured]) / values
         own = np.sqrt(np.maximum(half**2 - shared**2, 0.0)) / self._normal
         self._model = Anova(factors, codes, np.log(values), own**2)
-        honest = math.sqrt(float(np.mean(self._model.left_out_residuals() ** 2)))
-        self._widened = max(1.0, honest) * factor(confidence, len(values) - 1)
+        self._widened = self._honest(confidence)
+
+    def _honest(self, confidence: float) -> float:
+        """Half-width in standard deviations that predictions need: what leaving each point out in turn shows.
+
+        At least Student's; more where the residuals are larger than the regression thinks, or have heavier tails: the
+        residual that a share `confidence` of one more draw would stay below (split conformal; Lei et al. 2018).
+        """
+        residuals = np.sort(np.abs(self._model.left_out_residuals()))
+        place = min(math.ceil((len(residuals) + 1) * confidence), len(residuals)) - 1
+        return max(float(residuals[place]), factor(confidence, len(residuals) - 1))
 
     def forecast(self, codes: NDArray[np.intp]) -> list[Interval]:
         """At combinations that were not measured."""
-        return self._intervals(self._model.predict(codes), self._widened)
+        return self._intervals(self._model.predict(codes), self._widened, self._tails)
 
     def steadied(self) -> list[Interval]:
         """At the points themselves."""
-        return self._intervals(self._model.steadied(), self._normal)
+        return self._intervals(self._model.steadied(), self._normal, 1.0)
 
-    def _intervals(self, found: Prediction, width: float) -> list[Interval]:
-        half = np.hypot(width * found.sd, self._shared)
+    def _intervals(self, found: Prediction, width: float, tails: float) -> list[Interval]:
+        half = tails * np.hypot(width * found.sd, self._shared)
         bounds = [np.exp(found.mean + sign * half) for sign in (-1, 0, 1)]
         return [
             Interval(low=float(low), value=float(v), high=float(high)) for low, v, high in zip(*bounds, strict=True)
