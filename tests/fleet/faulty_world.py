@@ -117,14 +117,14 @@ def serve(folder: Path, port: int, faults: Faults) -> None:
 def measure_and_deliver(url: str, device: Device, state: Path, ledger: Path, faults: Faults, seed: int) -> None:
     """The agent. A line of `ledger` is a result that is safe in the spool: it must be in the server in the end."""
     chance = random.Random(seed)
-    write = agent_spool._write
+    write = agent_spool.write_whole
 
     def hurried(path: Path, content: bytes) -> None:
         if faults.get("full") == "agent":
             raise OSError(errno.ENOSPC, "No space left on device")
         write(path, content)
 
-    agent_spool._write = hurried
+    agent_spool.write_whole = hurried
     client = Client(url, device.token, timeout_s=5, quick_wait_s=0.01)
     delivery = Delivery(Spool(state), client, lambda _: None)
     delivery.spool.sweep()
