@@ -48,13 +48,13 @@ async def compare(
     return differences.document(difference)
 
 
-@router.get("/compare/versions")
+@router.get("/compare/versions", responses=told(404))
 def versions(services: ServicesOf, _: Viewer, reference: Sha, test: Sha) -> dict[str, Any]:
     """Every value that was computed for a pair, of whatever version of the metric, the newest first."""
     return {"items": services.store.read(differences.versions, reference, test)}
 
 
-@router.post("/differences:recompute")
+@router.post("/differences:recompute", responses=told(404))
 def recompute(services: ServicesOf, _: Operator, sweep: str | None = None) -> dict[str, Any]:
     """Ask for the differences of a sweep, or of all, that today's metric has not computed."""
     asked, kept = services.store.write(differences.recompute, sweep)
