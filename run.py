@@ -226,6 +226,10 @@ TASKS = {
                        lambda *arguments: call(program("python"), "-m", "tests.bench.references", *arguments)),
     "contact-sheet": Task("every scene rendered into docs/scenes.png",
                           lambda *arguments: call(program("python"), "docs/contact_sheet.py", *arguments)),
+    "study": Task("the grids that recommendations are scored on, rendered into tests/recommend/data (SCENE ...)",
+                  lambda *arguments: call(program("python"), "-m", "tests.recommend.study", *arguments)),
+    "test-recommend": Task("how often recommendations hold, on seeds and a scene that nothing was tuned on",
+                           lambda *arguments: call(program("python"), "-m", "tests.recommend", *arguments)),
     "convergence": Task("error against every setting and against CPU time, drawn into docs/convergence.png",
                         lambda *arguments: call(program("python"), "-m", "tests.bench.convergence", *arguments)),
     "screenshots": Task("pictures of the dashboard over test data, in .demo/screenshots (or FOLDER [--url URL])",
@@ -241,7 +245,7 @@ def usage() -> int:
     """Print the tasks."""
     print("python run.py TASK [arguments]      make TASK [ARGS=arguments]\n")
     for name, task in TASKS.items():
-        print(f"  {name:<13} {task.summary}")
+        print(f"  {name:<14} {task.summary}")
     return 0
 
 

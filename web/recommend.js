@@ -56,7 +56,7 @@ function lookAt(choice, tradeoff, choose, words) {
 
 const nameOf = (choice) => choice.label || settingsText(choice.changed);
 const costs = ({ energy_j, time_s }, kind) =>
-  [energy_j && interval(energy_j, quality(kind).unit), interval(time_s, "s")].filter(Boolean).join(", ");
+  [energy_j && interval(energy_j, quality(kind).unit), time_s && interval(time_s, "s")].filter(Boolean).join(", ");
 
 function savings(answer, kind) {
   if (!Number.isFinite(answer.saves_share)) return null;
@@ -75,7 +75,7 @@ function found(answer, tradeoff, choose) {
     answer.fragile && el("p", { class: "notice" }, el("strong", {}, "Fragile. "), answer.fragile),
     facts([
       answer.energy_j && ["Energy an image", interval(answer.energy_j, quality(kind).unit)],
-      ["Time an image", interval(answer.time_s, "s")],
+      answer.time_s && ["Time an image", interval(answer.time_s, "s")],
       ["Difference", `${interval(answer.difference)} of ${number(answer.limit)} acceptable`],
       savings(answer, kind),
     ].filter(Boolean)),

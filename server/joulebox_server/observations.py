@@ -7,12 +7,14 @@ from sqlite_utils import Database
 
 from joulebox_server.analysis.documents import StageCost, Tradeoff
 from joulebox_server.analysis.intervals import Interval
-from joulebox_server.analysis.tradeoff import Observation, Subject, build_tradeoff
+from joulebox_server.analysis.points import Observation, Subject
+from joulebox_server.analysis.tradeoff import build_tradeoff
 from joulebox_server.errors import NotFoundError
 from joulebox_server.schemas.measure import MeasureDocument
 from joulebox_server.schemas.sweep import SweepDefinition
 from joulebox_server.store import results, sweeps
 from joulebox_server.store.database import Row
+from joulebox_server.sweeps.expansion import axis_names
 
 NOMINAL_SIDE = 256
 """The size that limits are stated for; stands in until a first picture tells the sweep's own."""
@@ -42,12 +44,29 @@ def tradeoff(db: Database, sweep_key: str, scene: str | None, device: str | None
         height=height,
         scenes=sweeps.scene_labels(db, sweep["id"]),
         devices=[str(known["name"]) for known in devices],
-        axes=_axes(definition),
+        axes=axis_names(definition),
         exposure=definition.picture_exposure,
         seed_policy=definition.reference.seed_policy,
         limit_at_256=definition.limit,
     )
     return build_tradeoff(subject, observed["measure"], observed["reference"], floor[-1] if floor else None, confidence)
+
+
+def others(db: Database, sweep_key: str, scene: str, device: str, confidence: float) -> list[Tradeoff]:
+    """The trade-offs of a sweep's other devices for one scene."""
+    names = [str(known["name"]) for known in sweeps.target_devices(db, sweeps.find(db, sweep_key)["id"])]
+    return [tradeoff(db, sweep_key, scene, name, confidence) for name in names if name != device]
+
+
+def battery_full_j(db: Database, device: str) -> float | None:
+    """What a full battery of a device holds [J], as the newest of its results that tells it."""
+    for document in results.newest_documents(db, device):
+        conditions: dict[str, Any] = json.loads(document).get("conditions") or {}
+        for told in (conditions.get("after"), conditions.get("before")):
+            full_j = told.get("battery_full_j") if isinstance(told, dict) else None
+            if isinstance(full_j, int | float) and full_j > 0:
+                return float(full_j)
+    return None
 
 
 def _scene(db: Database, sweep: Row, definition: SweepDefinition, wanted: str | None) -> str:
@@ -73,12 +92,6 @@ def _device(sweep: Row, devices: list[Row], wanted: str | None) -> Row | None:
         f"the sweep {sweep['name']!r} has no device {wanted!r}; "
         + (f"it has {known}" if known else "none has taken a job yet")
     )
-
-
-def _axes(definition: SweepDefinition) -> list[str]:
-    if definition.rule != "list":
-        return list(definition.axes)
-    return list(dict.fromkeys(name for settings in definition.configurations for name in settings))
 
 
 def _size(definition: SweepDefinition, found: list[Row]) -> tuple[int, int]:
@@ -121,8 +134,15 @@ def _observation(result: Row) -> Observation:
             name: StageCost(time_s=stage.time_s, energy_j=stage.energy_j.equation_2)
             for name, stage in document.stages.items()
         },
+        left_out=_left_out(document),
         opinions=outcome and {name: outcome[name] for name in OPINIONS},
     )
+
+
+def _left_out(document: MeasureDocument) -> dict[str, str]:
+    """The reasons that the renderer's plan gives; none from a renderer that tells none."""
+    told = (document.plan or {}).get("left_out")
+    return {str(name): str(why) for name, why in told.items()} if isinstance(told, dict) else {}
 
 
 def _interval(given: Any) -> Interval:

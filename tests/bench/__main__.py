@@ -19,7 +19,7 @@ from typing import NamedTuple
 from joulebox_render.bench import machine, shrink
 from joulebox_render.errors import RenderError
 
-from . import gains, growth, mitsuba_side, rates, rivals
+from . import difference_speed, gains, growth, mitsuba_side, rates, rivals
 from .candidates import Measured, is_preset, measure_front
 from .references import load_reference
 from .table import Row, goals, markdown_table
@@ -27,7 +27,7 @@ from .table import Row, goals, markdown_table
 TARGET = Path(__file__).resolve().parents[2] / "docs" / "bench.md"
 QUICK_SIZE = 64
 BUSY_LOAD = 0.5
-GROUPS = ("rivals", "rates", "gains", "threads", "growth", "start")
+GROUPS = ("rivals", "rates", "gains", "threads", "growth", "start", "difference")
 NOTE = (
     "CPU seconds of a warm picture, 256x256 pixels, all in one run. FLIP: mean at 67 pixels per degree of "
     "clip(3 x linear) as sRGB. relMSE: mean of (3 a - 3 b)^2 / ((3 b)^2 + 0.01), the worst 0.1 % of pixels dropped."
@@ -83,6 +83,8 @@ def measure(run: Run, groups: Sequence[str]) -> tuple[list[Row], list[Measured]]
         rows += growth.memory_rows(run.say, run.full)
     if "start" in groups:
         rows += [growth.start_row(run.say), growth.compile_row(run.say, run.full)]
+    if "difference" in groups:
+        rows += difference_speed.difference_rows(run.say)
     return rows, ours
 
 

@@ -264,3 +264,28 @@ def test_serve_as_a_process(run: Run, tmp_path: Path, secret_file: Path) -> None
     found = httpx2.get(f"{again.told['url']}/v1/devices").json()["items"]
     assert {device["name"] for device in found} == {"one", "two"}
     again.stop(signal.SIGTERM)
+
+
+def test_confirming_and_recomputing(run: Run, live: Server, there: list[str]) -> None:
+    """Thirteen of fifteen combinations measured: what promises more is queued, measured, and then known."""
+    axes = [(p, c) for p in (10_000, 30_000, 60_000, 80_000, 100_000) for c in (50, 100, 200)]
+    listed = [{"global_photons": p, "gather_count": c} for p, c in axes if (p, c) not in ((60_000, 50), (100_000, 200))]
+    sweep = live.add_sweep(rule="list", axes={}, configurations=listed)
+    device = live.device()
+    device.work()
+    live.wait(sweep["id"], "done")
+    points = json.loads(run("tradeoff", sweep["id"], *there, "--json")[1])["points"]
+    limit = 1.02 * max(p["difference"]["value"] for p in points if p["settings"]["global_photons"] == 100_000)
+    asked = ["recommend", sweep["id"], "--budget-j", "13", "--difference-limit", str(limit), *there]
+    code, out, _ = run(*asked)
+    assert (code, "promises more, never measured: gather_count=200, global_photons=100000" in out) == (0, True), out
+    code, out, _ = run(*asked, "--predict", "--confirm", "3", "--json")
+    assert (code, json.loads(out)["queued_jobs"]) == (0, 6)  # the new one twice, two others with two more seeds
+    assert device.work() == 6
+    live.wait(sweep["id"], "done")
+    assert "never measured" not in run(*asked)[1]
+    failed(run("recommend", sweep["id"], "--battery-percent", "5", *there), 2, "capacity of this device's battery")
+    failed(run("recommend", sweep["id"], "--images", "5", *there), 2, "images goes with budget_wh or battery_percent")
+    code, out, _ = run("recompute", sweep["id"], *there)
+    assert (code, "0 difference(s) are computed anew by ltdiff-style 1; 33 are of it already" in out) == (0, True), out
+    failed(run("recompute", "no-such", *there), 1, "no sweep")

@@ -20,7 +20,8 @@ MODELS: dict[str, Any] = {
     "tradeoff": Tradeoff,
     "recommendation": Recommendation,
 }
-FREE = ("settings", "changed", "conditions", "photons", "plan", "settings_schema", "defines", "axes", "stages")
+FREE = ("settings", "changed", "conditions", "photons", "plan", "settings_schema", "defines", "axes", "stages",
+        "left_out", "stages_left_out")  # fmt: skip
 """Objects whose names are not ours to fix."""
 UNITS = ("_j", "_s", "_uj", "_us", "_wh", "_w", "_m", "_bytes", "_deg", "_cd_m2", "_percent")
 UNITLESS = {
@@ -28,6 +29,8 @@ UNITLESS = {
     *("max_seconds", "cores", "threads", "rays", "repeats", "limit", "limit_per_pixel", "width", "height"),
     *("exposure", "metric_version", "share_of_limit", "saves_share", "flip_mean", "ssim", "rmse_srgb", "relmse"),
     *("difference", "difference_per_pixel", "noise_floor"),
+    *("energy_share", "time_share", "difference_share"),
+    *("elasticity", "cost_ratio", "difference_start", "difference_end", "slope", "start", "end"),
 }
 
 

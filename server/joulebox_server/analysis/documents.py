@@ -15,6 +15,7 @@ Axis = Literal["energy_j", "time_s"]
 Quality = Literal["measured", "estimated", "replayed", "none"]
 EnergyQuality = Literal["measured", "estimated", "replayed", "time_only"]
 SeedPolicy = Literal["same", "other"]
+Basis = Literal["measured", "predicted"]
 
 UNITS: Mapping[Axis, str] = {"energy_j": "J", "time_s": "s"}
 
@@ -30,6 +31,37 @@ class StageCost(Document):
 
     time_s: float
     energy_j: float | None = None
+
+
+class Step(Document):
+    """One setting changed to its next value, everything else the same.
+
+    cost_ratio      cost after over cost before; null where either is not known
+    slope           d ln difference / d ln cost: -2 halves the difference for 41 % more cost; null without both
+    cliff           the difference grows threefold or more, to beyond the limit
+    same_picture    not a pixel changed: the scene has no use for the setting
+    """
+
+    setting: str
+    start: Any
+    end: Any
+    cost_ratio: float | None
+    difference_start: float | None
+    difference_end: float | None
+    slope: float | None
+    cliff: bool
+    same_picture: bool
+
+
+class Rating(Document):
+    """What a setting costs and what it does to the picture, by the rules of `ratings`; steps in rising order."""
+
+    setting: str
+    energy_impact: Literal["low", "medium", "high"]
+    elasticity: float
+    image_sensitivity: Literal["low", "medium", "high"]
+    steps: list[Step]
+    cliffs: list[Step]
 
 
 class OpinionMeans(Document):
@@ -53,11 +85,13 @@ class Point(Document):
 
     changed     settings that differ from the reference's, the seed aside
     repeats     behind the difference; behind the costs where there is no difference
-    difference  to the reference, mean over repeats; null where there is no picture to compare. With one
-                repeat its interval has no width, because its scatter over seeds is not known
+    difference  to the reference, mean over repeats; null where there is no picture to compare. One repeat has
+                the scatter that the other points show; where they show none its interval has no width
     acceptable  difference (its value) <= limit
+    fragile     the cliff that is one step of a setting away, in words; null where there is none
     confirmed   whether being on or off the front of the main cost (energy, or time where there is none)
                 would hold wherever in their intervals the values are; never with one repeat
+    left_out    stages and maps that did not run, and the renderer's reason for each
     quality     what the energy rests on
     """
 
@@ -78,12 +112,30 @@ class Point(Document):
     reference_image_sha256: str | None
     pixel_sha256: str | None
     stages: dict[str, StageCost]
+    left_out: dict[str, str] = {}
     opinions: OpinionMeans | None
     quality: Quality
+    fragile: str | None = None
 
     def cost(self, axis: Axis) -> Interval | None:
         """Energy [J] or time [s] of an image."""
         return self.energy_j if axis == "energy_j" else self.time_s
+
+
+class Shared(Document):
+    """What the intervals of all points have in common: by what share of their values they may be off together.
+
+    A session's drift, a seed's luck. It matters to a budget and a limit, which are absolute, and not to which of
+    two points is better.
+    """
+
+    energy_share: float = 0.0
+    time_share: float = 0.0
+    difference_share: float = 0.0
+
+    def of(self, axis: Axis) -> float:
+        """Of a cost."""
+        return self.energy_share if axis == "energy_j" else self.time_share
 
 
 class NoiseFloor(Document):
@@ -116,6 +168,8 @@ class Tradeoff(Document):
     reference: Point | None
     points: list[Point]
     axes: list[str]
+    shared: Shared = Shared()
+    ratings: list[Rating] = []
 
     @property
     def main_axis(self) -> Axis:
@@ -124,20 +178,26 @@ class Tradeoff(Document):
 
 
 class Choice(Document):
-    """A measured configuration that a recommendation names.
+    """A configuration that a recommendation names.
 
-    saves_*     of the reference's cost per image; null without a reference
-    fragile     why its difference may not stay within the limit, null where nothing speaks for that
-    misses      why it does not fit, only on the nearest of a recommendation without an answer
+    configuration_id    null for one that was never measured
+    basis               whether it was measured, or predicted from others that were
+    difference          with `energy_j` and `time_s` as they bound the choice
+    stages_left_out     stages and maps that do not run with these settings on this scene, and why
+    saves_*             of the reference's cost per image; null without a reference
+    fragile             why its difference may not stay within the limit, null where nothing speaks for that
+    misses              why it does not fit, only on the nearest of a recommendation without an answer
     """
 
-    configuration_id: str
+    configuration_id: str | None
     label: str
+    basis: Basis = "measured"
     settings: dict[str, Any]
     changed: dict[str, Any]
     energy_j: Interval | None
-    time_s: Interval
+    time_s: Interval | None
     difference: Interval
+    stages_left_out: dict[str, str] = {}
     saves_j: float | None
     saves_s: float | None
     saves_share: float | None
@@ -148,12 +208,15 @@ class Choice(Document):
 class Recommendation(Document):
     """Settings for a budget and a limit, or that there are none.
 
-    answer          "settings", or "none" when no measured configuration fits; then see `nearest`
+    answer          "settings", or "none" when no configuration fits; then see `nearest`
+    basis           "predicted" where these settings were never measured
     saves_share     of the reference's energy, or of its time where the budget is in seconds
+    steps           what changing one setting would do, as measured: the slopes at this budget
+    proposals       settings that promise to fit and to be better, best first: never measured, or too loosely to know
     """
 
     answer: Literal["settings", "none"]
-    basis: Literal["measured", "predicted"] = "measured"
+    basis: Basis = "measured"
     energy_quality: EnergyQuality
     scene: str
     device: str
@@ -165,6 +228,7 @@ class Recommendation(Document):
     energy_j: Interval | None = None
     time_s: Interval | None = None
     difference: Interval | None = None
+    stages_left_out: dict[str, str] = {}
     limit: float
     budget_j: float | None
     budget_s: float | None
@@ -173,5 +237,7 @@ class Recommendation(Document):
     saves_share: float | None = None
     fragile: str | None = None
     why: list[str]
+    steps: list[Step] = []
     runner_up: Choice | None = None
     nearest: list[Choice] = []
+    proposals: list[Choice] = []

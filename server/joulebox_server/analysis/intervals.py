@@ -5,13 +5,12 @@ differences cannot.
 """
 
 import math
-from collections.abc import Sequence
-from functools import cache
+from collections.abc import Mapping, Sequence
 
 from pydantic import BaseModel, ConfigDict, model_validator
-from scipy.stats import t as student_t
 
 from joulebox_server.analysis.errors import AnalysisError
+from joulebox_server.analysis.scatter import Scatter, factor
 
 
 class Interval(BaseModel):
@@ -39,10 +38,9 @@ def exactly(value: float) -> Interval:
     return Interval(value=value, low=value, high=value)
 
 
-@cache
 def t_factor(confidence: float, count: int) -> float:
     """Half-width of the interval of a mean in standard errors: two-sided Student t, count - 1 degrees."""
-    return float(student_t.ppf(0.5 + confidence / 2, count - 1))
+    return factor(confidence, count - 1)
 
 
 def check_confidence(confidence: float) -> None:
@@ -52,43 +50,51 @@ def check_confidence(confidence: float) -> None:
 
 
 def over_repeats(
-    repeats: Sequence[Interval], windows: Sequence[int], stated: Sequence[float], confidence: float
+    repeats: Mapping[int, Interval],
+    windows: Sequence[int],
+    stated: Sequence[float],
+    confidence: float,
+    scatter: Scatter | None = None,
 ) -> Interval:
     """Interval of the mean over repeats that were each measured in windows.
 
-    repeats     one interval a repeat, over its own windows
+    repeats     one interval a repeat, by its number, over its own windows
     stated      the confidence of each
     windows     windows behind each; from 2 on the interval is restated at `confidence` by Student's t
+    scatter     how much repeats of all points scatter, where enough is known of it
 
     With two repeats or more it is the larger of (a) Student t over the repeats' values, whose scatter
-    holds the noise of seeds, of the machine between repeats and of the windows, and (b) the windows' own
-    half-widths combined, sqrt(sum h^2) / n. Adding both would count the windows twice; taking (a) alone
-    would let a few repeats that agree by luck claim more than their windows support. With one repeat it is
-    (b), which knows nothing of what changes between repeats: the caller flags that.
+    holds the noise of seeds, of the machine between repeats and of the windows (with `scatter` also for one
+    repeat, and with what all points have in common), and (b) the windows' own half-widths combined,
+    sqrt(sum h^2) / n. Adding both would count the windows twice; taking (a) alone would let a few repeats
+    that agree by luck claim more than their windows support. With one repeat and no `scatter` it is (b), which
+    knows nothing of what changes between repeats: the caller flags that.
     """
     count = len(repeats)
     restated = [
         # the upper side: the lower one may have been cut at 0
         (r.high - r.value) * (t_factor(confidence, n) / t_factor(c, n) if n >= 2 else 1.0)
-        for r, n, c in zip(repeats, windows, stated, strict=True)
+        for r, n, c in zip(repeats.values(), windows, stated, strict=True)
     ]
     within = math.sqrt(sum(h * h for h in restated)) / count
-    values = [r.value for r in repeats]
-    return _about(math.fsum(values) / count, max(_between(values, confidence), within))
+    values = {repeat: interval.value for repeat, interval in repeats.items()}
+    return _about(math.fsum(values.values()) / count, max(_between(values, confidence, scatter), within))
 
 
-def over_values(values: Sequence[float], confidence: float) -> Interval:
-    """Student t interval of a mean; without width for one value, whose scatter is not known."""
-    return _about(math.fsum(values) / len(values), _between(values, confidence))
+def over_values(values: Mapping[int, float], confidence: float, scatter: Scatter | None = None) -> Interval:
+    """Student t interval of the mean of values by repeat; without width where nothing is known of their scatter."""
+    return _about(math.fsum(values.values()) / len(values), _between(values, confidence, scatter))
 
 
-def _between(values: Sequence[float], confidence: float) -> float:
-    """Half-width by Student t over values; 0 for one value."""
+def _between(values: Mapping[int, float], confidence: float, scatter: Scatter | None) -> float:
+    """Half-width by Student t over values; 0 for one value without `scatter`."""
     count = len(values)
+    if scatter is not None and min(values.values()) > 0:
+        return scatter.half_width(values, confidence)
     if count < 2:
         return 0.0
-    mean = math.fsum(values) / count
-    variance = math.fsum((value - mean) ** 2 for value in values) / (count - 1)
+    mean = math.fsum(values.values()) / count
+    variance = math.fsum((value - mean) ** 2 for value in values.values()) / (count - 1)
     return t_factor(confidence, count) * math.sqrt(variance / count)
 
 

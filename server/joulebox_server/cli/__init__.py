@@ -8,6 +8,8 @@ from joulebox_server import __version__
 from joulebox_server.analysis.errors import AnalysisError
 from joulebox_server.cli import data, device, findings, sweep
 from joulebox_server.cli.diff import diff
+from joulebox_server.cli.recommend import recommend
+from joulebox_server.cli.recompute import recompute
 from joulebox_server.cli.serve import serve
 from joulebox_server.errors import InvalidError, ServerError
 
@@ -34,13 +36,14 @@ def build() -> typer.Typer:
 
     for command in (
         serve,
-        findings.recommend,
+        recommend,
         findings.tradeoff,
         findings.export,
         data.backup,
         data.restore,
         data.gc,
         diff,
+        recompute,
     ):
         app.command()(command)
     app.add_typer(sweep.app, name="sweep")

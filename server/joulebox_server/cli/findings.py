@@ -1,7 +1,7 @@
-"""`joulebox recommend`, `tradeoff` and `export`."""
+"""`joulebox tradeoff` and `export`."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -22,68 +22,6 @@ FORMATS = ("csv", "parquet", "json", "ndjson")
 SweepArgument = Annotated[str, typer.Argument(help="Id of a sweep, or its name if only one has it.")]
 SceneOption = Annotated[str | None, typer.Option(help="Scene of the sweep; its first unless given.")]
 DeviceOption = Annotated[str | None, typer.Option(help="Device of the sweep; its first unless given.")]
-
-
-def recommend(
-    sweep: SweepArgument,
-    budget_j: Annotated[float | None, typer.Option(help="Joules an image.")] = None,
-    budget_s: Annotated[float | None, typer.Option(help="Seconds an image.")] = None,
-    budget_wh: Annotated[float | None, typer.Option(help="Watt-hours for all --images.")] = None,
-    images: Annotated[int | None, typer.Option(help="How many images --budget-wh is for.")] = None,
-    scene: SceneOption = None,
-    device: DeviceOption = None,
-    difference_limit: Annotated[
-        float | None, typer.Option(help="Largest difference; the sweep's limit unless given.")
-    ] = None,
-    confidence: Annotated[float, typer.Option(help="Of the bounds that must hold.")] = 0.95,
-    server: ServerOption = None,
-    token: TokenOption = None,
-    data: DataOption = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Settings that meet a budget, as measured; without a budget the cheapest acceptable ones."""
-    given = {
-        "budget_j": budget_j,
-        "budget_s": budget_s,
-        "budget_wh": budget_wh,
-        "images": images,
-        "scene": scene,
-        "device": device,
-        "difference_limit": difference_limit,
-        "confidence": confidence,
-    }
-    params = {name: value for name, value in given.items() if value is not None}
-    found = connect(server, token, data).json("GET", f"/sweeps/{sweep}/recommendation", params=params)
-    if as_json:
-        print_json(found)
-    else:
-        _print_recommendation(found)
-
-
-def _print_recommendation(found: dict[str, Any]) -> None:
-    if found["answer"] == "none":
-        typer.echo(f"no setting meets this for {found['scene']} on {found['device']}")
-    else:
-        typer.echo(f"for {found['scene']} on {found['device']}: {found['label']}")
-        typer.echo(f"  energy      {_energy(found)}")
-        typer.echo(f"  time        {quantity(found['time_s'], 's')} an image")
-        typer.echo(f"  difference  {quantity(found['difference'], '')}, limit {found['limit']:.4g}")
-        if found["saves_share"] is not None:
-            typer.echo(f"  saves       {found['saves_share']:.0%} of the reference")
-        if found["fragile"]:
-            typer.echo(f"  fragile     {found['fragile']}")
-    for reason in found["why"]:
-        typer.echo(f"  - {reason}")
-    if found["runner_up"]:
-        typer.echo(f"runner-up: {found['runner_up']['label']}")
-    for choice in found["nearest"]:
-        typer.echo(f"nearest: {choice['label']}: {choice['misses']}")
-
-
-def _energy(found: dict[str, Any]) -> str:
-    told = f"{quantity(found['energy_j'], 'J')} an image"
-    # Anything that was not measured says so wherever it is printed.
-    return told if found["energy_quality"] == "measured" else f"{told} [{found['energy_quality']}]"
 
 
 def tradeoff(

@@ -1,4 +1,4 @@
-"""What was found out about a sweep: trade-off, recommendation, charts."""
+"""What was found out about a sweep: trade-off and charts."""
 
 from typing import Annotated, Any, Literal
 
@@ -7,13 +7,10 @@ from fastapi.responses import JSONResponse
 
 from joulebox_server import observations
 from joulebox_server.analysis import charts
-from joulebox_server.analysis.documents import Recommendation, Tradeoff
+from joulebox_server.analysis.documents import Tradeoff
 from joulebox_server.analysis.frame import ScaleName, XName, YName
-from joulebox_server.analysis.recommend import budget_per_image_j, recommend
-from joulebox_server.errors import InvalidError
 from joulebox_server.problems import told
 from joulebox_server.routes.paging import Key
-from joulebox_server.schemas.base import Document
 from joulebox_server.services import ServicesOf, Viewer
 
 Positive = Annotated[float | None, Query(gt=0, allow_inf_nan=False)]
@@ -31,19 +28,6 @@ DRAWN: dict[int | str, dict[str, Any]] = {
 router = APIRouter(tags=["findings"])
 
 
-class RecommendationQuery(Document):
-    """What is asked; a misspelt budget is an error, or the answer would be to a question without one."""
-
-    scene: str | None = None
-    device: str | None = None
-    budget_j: Positive = None
-    budget_s: Positive = None
-    budget_wh: Positive = None
-    images: Annotated[int | None, Query(ge=1)] = None
-    difference_limit: Positive = None
-    confidence: Confidence = 0.95
-
-
 @router.get("/sweeps/{sweep}/tradeoff", responses=told(404, 409))
 def get_tradeoff(
     services: ServicesOf,
@@ -55,25 +39,6 @@ def get_tradeoff(
 ) -> Tradeoff:
     """Points, intervals, front and limit of one scene on one device; without them, of the first."""
     return services.store.read(observations.tradeoff, sweep, scene, device, confidence)
-
-
-@router.get("/sweeps/{sweep}/recommendation", responses=told(404, 409))
-def get_recommendation(
-    services: ServicesOf,
-    _: Viewer,
-    sweep: Key,
-    asked: Annotated[RecommendationQuery, Query()],
-) -> Recommendation:
-    """Settings for a budget an image: `budget_j`, `budget_s`, or `budget_wh` shared by `images`."""
-    budget_j = asked.budget_j
-    if (asked.budget_wh is None) != (asked.images is None):
-        raise InvalidError("budget_wh and images belong together: watt-hours for that many images")
-    if sum(budget is not None for budget in (budget_j, asked.budget_s, asked.budget_wh)) > 1:
-        raise InvalidError("give one budget: budget_j, budget_s, or budget_wh with images")
-    if asked.budget_wh is not None and asked.images is not None:
-        budget_j = budget_per_image_j(asked.budget_wh, asked.images)
-    found = services.store.read(observations.tradeoff, sweep, asked.scene, asked.device, asked.confidence)
-    return recommend(found, budget_j, asked.budget_s, asked.difference_limit)
 
 
 @router.get("/sweeps/{sweep}/charts/tradeoff.{form}", response_class=Response, responses=DRAWN)

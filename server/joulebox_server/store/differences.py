@@ -107,6 +107,45 @@ def get(db: Database, difference_id: str) -> Row:
     return found
 
 
+def versions(db: Database, reference_sha256: str, test_sha256: str) -> list[dict[str, Any]]:
+    """The values of a pair by every metric, version and display that it was compared with, the newest first."""
+    found = rows(
+        db,
+        """SELECT * FROM image_difference WHERE reference_sha256 = ? AND test_sha256 = ? AND state = 'done'
+        ORDER BY id DESC""",
+        (reference_sha256, test_sha256),
+    )
+    return [document(difference) for difference in found]
+
+
+def recompute(db: Database, sweep_key: str | None) -> tuple[int, int]:
+    """Ask again for the comparisons of a sweep (None: of all) that today's metric has not made, or failed in.
+
+    Returns how many are asked for and how many are of today's metric already. The values of other versions stay.
+    """
+    sweep_id = None if sweep_key is None else str(sweeps.find(db, sweep_key)["id"])
+    found = rows(
+        db,
+        """SELECT comparison.result_id, d.* FROM comparison
+        JOIN image_difference AS d ON d.id = comparison.difference_id
+        WHERE comparison.sweep_id = coalesce(?, comparison.sweep_id)""",
+        (sweep_id,),
+    )
+    asked = 0
+    for difference in found:
+        current = (difference["metric"], difference["metric_version"]) == (METRIC, VERSION)
+        if current and difference["state"] != "failed":
+            continue
+        asked += 1
+        difference_id = _wanted(db, difference["reference_sha256"], difference["test_sha256"], difference["display"])
+        db.execute("UPDATE image_difference SET state = 'pending', tries = 0 WHERE id = ? AND state = 'failed'",
+                   (difference_id,))  # fmt: skip
+        db.execute(
+            "UPDATE comparison SET difference_id = ? WHERE result_id = ?", (difference_id, difference["result_id"])
+        )
+    return asked, len(found) - asked
+
+
 def pending(db: Database, limit: int) -> list[Row]:
     """Differences to be computed, the oldest first."""
     return rows(db, "SELECT * FROM image_difference WHERE state = 'pending' ORDER BY id LIMIT ?", (limit,))

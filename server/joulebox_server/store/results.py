@@ -245,3 +245,14 @@ def of_target(db: Database, sweep_id: str, device_id: str, label: str) -> list[R
         ORDER BY result.id""",
         (sweep_id, device_id, label),
     )
+
+
+def newest_documents(db: Database, device: str, limit: int = 20) -> list[str]:
+    """The last measure documents of the device of this name, the newest first."""
+    found = rows(
+        db,
+        """SELECT result.document FROM result JOIN device ON device.id = result.device_id
+        WHERE device.name = ? AND device.revoked_at_us IS NULL ORDER BY result.id DESC LIMIT ?""",
+        (device, limit),
+    )
+    return [str(result["document"]) for result in found]

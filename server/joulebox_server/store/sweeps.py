@@ -28,10 +28,10 @@ def create(db: Database, definition: SweepDefinition) -> str:
     scene_ids = [_add_scene(db, sweep_id, definition, position) for position in range(len(definition.scenes))]
     measured, reference = configurations(definition), reference_configuration(definition)
     configuration_ids = [
-        _add_configuration(db, sweep_id, configuration, "measure", position)
+        add_configuration(db, sweep_id, configuration, "measure", position)
         for position, configuration in enumerate(measured)
     ]
-    configuration_ids.append(_add_configuration(db, sweep_id, reference, "reference", -1))
+    configuration_ids.append(add_configuration(db, sweep_id, reference, "reference", -1))
     for position, target_id in enumerate(_add_targets(db, sweep_id, definition)):
         jobs = plan_jobs(definition, measured, reference, f"{sweep_id}/{position}")
         for job in jobs:
@@ -66,7 +66,8 @@ def _add_scene(db: Database, sweep_id: str, definition: SweepDefinition, positio
     return entry_id
 
 
-def _add_configuration(db: Database, sweep_id: str, configuration: Configuration, purpose: str, position: int) -> str:
+def add_configuration(db: Database, sweep_id: str, configuration: Configuration, purpose: str, position: int) -> str:
+    """Make a configuration one of a sweep's, once; returns its id."""
     digest = sha256_text(configuration.key)
     db.execute(
         "INSERT INTO configuration (id, sha256, settings) VALUES (?, ?, ?) ON CONFLICT (sha256) DO NOTHING",
@@ -76,7 +77,7 @@ def _add_configuration(db: Database, sweep_id: str, configuration: Configuration
     assert found is not None
     db.execute(
         """INSERT INTO sweep_configuration (sweep_id, configuration_id, purpose, changed, position)
-        VALUES (?, ?, ?, ?, ?)""",
+        VALUES (?, ?, ?, ?, ?) ON CONFLICT DO NOTHING""",
         (sweep_id, found["id"], purpose, canonical(configuration.changed), position),
     )
     return str(found["id"])
@@ -212,7 +213,7 @@ def retry_failed(db: Database, key: str) -> tuple[str, int]:
 
 
 def reopen(db: Database, sweep_id: str) -> None:
-    """Let an ended sweep run again, because of jobs to be retried. Raises ConflictError when it was cancelled."""
+    """Let an ended sweep run again: jobs are tried once more or were added. ConflictError when it was cancelled."""
     sweep = find(db, sweep_id)
     if sweep["state"] == "cancelled":
         raise ConflictError(f"the sweep {sweep['name']!r} is cancelled; submit it again instead")

@@ -1,7 +1,7 @@
 """From a sweep's definition to its configurations, and from those to jobs in randomised blocks."""
 
 import random
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
 from typing import Any, Literal
@@ -56,6 +56,22 @@ def configurations(definition: SweepDefinition) -> list[Configuration]:
         configuration = Configuration(base | changed, changed)
         found.setdefault(configuration.key, configuration)
     return list(found.values())
+
+
+def added_configuration(definition: SweepDefinition, settings: Mapping[str, Any]) -> Configuration:
+    """A combination of values of a sweep's axes that the sweep does not hold of its own accord.
+
+    settings   as a renderer completed them; of these the axes' are taken, the rest is the sweep's own
+    """
+    changed = {name: settings[name] for name in axis_names(definition) if name in settings}
+    return Configuration(_base(definition) | changed, changed)
+
+
+def axis_names(definition: SweepDefinition) -> list[str]:
+    """Settings that a sweep varies."""
+    if definition.rule != "list":
+        return list(definition.axes)
+    return list(dict.fromkeys(name for settings in definition.configurations for name in settings))
 
 
 def reference_configuration(definition: SweepDefinition) -> Configuration:

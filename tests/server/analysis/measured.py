@@ -4,7 +4,8 @@ from typing import Any
 
 from joulebox_server.analysis.documents import OnFront, Point, StageCost, Tradeoff
 from joulebox_server.analysis.intervals import Interval
-from joulebox_server.analysis.tradeoff import Observation, Subject, build_tradeoff
+from joulebox_server.analysis.points import Observation, Subject
+from joulebox_server.analysis.tradeoff import build_tradeoff
 
 SUBJECT = Subject("sweep-1", "cornell-boxes", "laptop", 256, 256, axes=["photons"], exposure=3)
 

@@ -3,10 +3,12 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from joulebox_server.analysis.budgets import budget_per_image_j
 from joulebox_server.analysis.documents import NoiseFloor
 from joulebox_server.analysis.errors import AnalysisError
-from joulebox_server.analysis.recommend import budget_per_image_j, recommend
+from joulebox_server.analysis.recommend import recommend
 from measured import interval, point, small_sweep, tradeoff_of
+from scipy import stats
 
 KEYS = {
     *("answer", "basis", "energy_quality", "settings", "energy_j", "difference", "limit", "budget_j", "saves_j"),
@@ -15,7 +17,10 @@ KEYS = {
 
 
 def by_hand():
-    """Upper bounds of cost and difference: cheap 12, 95; middle 22, 60; dear 32, 30; rough 6, 205."""
+    """Upper bounds of cost and difference, each of 95 % for itself (1.645 / 1.96 = 0.839 of the half-widths):
+
+    cheap 11.68, 92.6; middle 21.68, 58.4; dear 31.68, 29.2; rough 5.84, 204.2.
+    """
     points = [
         point("cheap", interval(10, 2), interval(80, 15)),
         point("middle", interval(20, 2), interval(50, 10)),
@@ -30,9 +35,9 @@ def by_hand():
     [
         ({}, "cheap", "middle"),
         ({"budget_j": 25}, "middle", "cheap"),
-        ({"budget_j": 21.9}, "cheap", None),  # middle costs 20, but up to 22
+        ({"budget_j": 21.6}, "cheap", None),  # middle costs 20, but up to 21.7
         ({"budget_j": 100}, "dear", "middle"),
-        ({"difference_limit": 90}, "middle", "dear"),  # cheap differs by 80, but up to 95
+        ({"difference_limit": 90}, "middle", "dear"),  # cheap differs by 80, but up to 92.6
         ({"budget_s": 25}, "middle", "cheap"),
         ({"budget_j": 10, "difference_limit": 300}, "rough", None),
     ],
@@ -51,8 +56,8 @@ def test_document_says_what_is_saved_and_why():
     assert (found.budget_j, found.budget_s, found.limit, found.basis) == (25, None, 100, "measured")
     assert found.settings == {"name": "middle"}
     told = " ".join(found.why)
-    assert "at most 60 with 95% confidence, within the limit of 100" in told
-    assert "it costs 20 J an image, at most 22 J, within the budget of 25 J" in told
+    assert "at most 58.4 with 95% confidence, within the limit of 100" in told
+    assert "it costs 20 J an image, at most 21.7 J, within the budget of 25 J" in told
     assert "the smallest difference of the 2 that fit, out of 4 measured configurations" in told
     assert "it saves 20 J (50 %)" in told
 
@@ -61,7 +66,7 @@ def test_nothing_fits():
     found = recommend(by_hand(), budget_j=11)
     assert (found.answer, found.settings, found.runner_up) == ("none", None, None)
     assert [near.configuration_id for near in found.nearest] == ["cheap", "middle"]
-    assert found.nearest[0].misses == "it costs 10 J (up to 12), the budget is 11 J"
+    assert found.nearest[0].misses == "it costs 10 J (up to 11.7), the budget is 11 J"
     assert "None of the 4 measured configurations stays within a budget of 11 J" in found.why[0]
 
 
@@ -69,7 +74,7 @@ def test_nearest_tells_both_that_it_misses():
     points = [point("only", interval(10, 2), interval(150, 15))]
     found = recommend(tradeoff_of(points), budget_j=4)
     assert found.nearest[0].misses == (
-        "it costs 10 J (up to 12), the budget is 4 J; its difference is 150 (up to 165), the limit is 100"
+        "it costs 10 J (up to 11.7), the budget is 4 J; its difference is 150 (up to 163), the limit is 100"
     )
     assert found.nearest[0].fragile is None  # beyond the limit for certain, which is no question of luck
 
@@ -159,6 +164,11 @@ POINTS = st.lists(
 BUDGETS = st.none() | st.floats(1, 80)
 
 
+def upper(interval):
+    """The bound of 95 %: the two-sided interval holds that and the lower one with 95 % together."""
+    return interval.value + stats.norm.ppf(0.95) / stats.norm.ppf(0.975) * (interval.high - interval.value)
+
+
 def drawn(values):
     return [
         point(f"p{i:02}", interval(cost, width), interval(difference, spread))
@@ -170,13 +180,13 @@ def drawn(values):
 def test_a_recommended_point_never_breaks_a_bound(values, budget, limit):
     points = drawn(values)
     found = recommend(tradeoff_of(points), budget_j=budget, difference_limit=limit)
-    inside = [p for p in points if p.energy_j.high <= (budget or 1e9) and p.difference.high <= limit]
+    inside = [p for p in points if upper(p.energy_j) <= (budget or 1e9) and upper(p.difference) <= limit]
     assert (found.answer == "settings") == bool(inside)
     if inside:
         chosen = next(p for p in points if p.configuration_id == found.configuration_id)
         assert chosen in inside
-        best = min(p.difference.high if budget else p.energy_j.high for p in inside)
-        assert (chosen.difference.high if budget else chosen.energy_j.high) == best
+        best = min(upper(p.difference) if budget else upper(p.energy_j) for p in inside)
+        assert upper(chosen.difference if budget else chosen.energy_j) == pytest.approx(best)
     else:
         assert len(found.nearest) == min(2, len(points))
         assert all(near.misses for near in found.nearest)

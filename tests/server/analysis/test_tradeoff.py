@@ -8,16 +8,22 @@ from hypothesis import strategies as st
 from joulebox_server.analysis.errors import AnalysisError
 from joulebox_server.analysis.intervals import exactly, over_repeats, over_values, t_factor
 from joulebox_server.analysis.pareto import standings
-from joulebox_server.analysis.tradeoff import Subject, build_tradeoff
+from joulebox_server.analysis.points import Subject
+from joulebox_server.analysis.tradeoff import build_tradeoff
 from measured import SUBJECT, interval, observation, repeats, small_sweep
 from scipy import stats
 
 WIDE = st.floats(0.1, 100)
 
 
+def numbered(values):
+    """Values by repeat."""
+    return dict(enumerate(values))
+
+
 def test_repeats_give_a_student_interval():
     """Mean 11, standard deviation 1, t(0.975, 2) = 4.3027: 11 +- 4.3027 / sqrt(3)."""
-    found = over_values([10, 11, 12], 0.95)
+    found = over_values(numbered([10, 11, 12]), 0.95)
     assert found.value == 11
     assert found.high - 11 == pytest.approx(4.302653 / math.sqrt(3), rel=1e-6)
     assert 11 - found.low == pytest.approx(found.high - 11)
@@ -25,17 +31,17 @@ def test_repeats_give_a_student_interval():
 
 def test_repeats_that_agree_by_luck_keep_their_windows_error():
     """Three repeats of 10 +- 0.6: sqrt(3 x 0.36) / 3 is left, not 0."""
-    found = over_repeats([interval(10, 0.6)] * 3, [5] * 3, [0.95] * 3, 0.95)
+    found = over_repeats(numbered([interval(10, 0.6)] * 3), [5] * 3, [0.95] * 3, 0.95)
     assert found.high - 10 == pytest.approx(0.6 / math.sqrt(3))
 
 
 def test_scatter_between_repeats_rules_where_it_is_larger():
-    found = over_repeats([interval(v, 0.01) for v in (10, 11, 12)], [5] * 3, [0.95] * 3, 0.95)
-    assert found == over_values([10, 11, 12], 0.95)
+    found = over_repeats(numbered(interval(v, 0.01) for v in (10, 11, 12)), [5] * 3, [0.95] * 3, 0.95)
+    assert found == over_values(numbered([10, 11, 12]), 0.95)
 
 
 def test_one_repeat_has_its_windows_interval_restated():
-    found = over_repeats([interval(10, 1)], [5], [0.95], 0.99)
+    found = over_repeats(numbered([interval(10, 1)]), [5], [0.95], 0.99)
     expected = stats.t.ppf(0.995, 4) / stats.t.ppf(0.975, 4)
     assert found.high - 10 == pytest.approx(expected)
 
@@ -43,12 +49,12 @@ def test_one_repeat_has_its_windows_interval_restated():
 def test_interval_covers_as_it_promises():
     """Of 2,000 means of four normal values 95 % hold the truth; sigma is 0.5 %, 4 sigma tolerated (6e-5)."""
     draws = stats.norm.rvs(10, 1, size=(2000, 4), random_state=5)
-    held = sum(found.low <= 10 <= found.high for found in (over_values(list(row), 0.95) for row in draws))
+    held = sum(found.low <= 10 <= found.high for found in (over_values(numbered(row), 0.95) for row in draws))
     assert held / 2000 == pytest.approx(0.95, abs=0.02)
 
 
 def test_intervals_do_not_reach_below_zero():
-    assert over_values([0.1, 5], 0.95).low == 0
+    assert over_values(numbered([0.1, 5]), 0.95).low == 0
     assert t_factor(0.95, 2) == pytest.approx(12.7062, rel=1e-4)
 
 
@@ -56,7 +62,7 @@ def test_point_of_repeats():
     made = build_tradeoff(SUBJECT, repeats("a", [10, 11, 12], [80, 90, 100]))
     (point,) = made.points
     assert (point.energy_j.value, point.time_s.value, point.cpu_s.value) == pytest.approx((11, 1.1, 2.2))
-    assert point.difference == over_values([80, 90, 100], 0.95)
+    assert point.difference == over_values(numbered([80, 90, 100]), 0.95)
     assert point.difference_per_pixel.value == pytest.approx(90 / 65536)
     assert (point.repeats, point.acceptable, point.quality) == (3, True, "measured")
     assert point.stages["indirect"].time_s == pytest.approx(0.55)

@@ -1,0 +1,132 @@
+"""The grids that the recommendation is tuned and scored on, and the renders of them that are kept.
+
+A grid is complete: every combination of its axes is rendered with several seeds. Seeds A serve to tune the
+rules, seeds B to score them; the scene that is held out has no seeds A, so nothing can have been tuned on it.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+DATA = Path(__file__).parent / "data"
+SIDE = 96
+"""Pixels of a side: as small as keeps the scenes recognisable, so that thousands of renders take minutes."""
+
+SEEDS = {"A": (0, 1, 2, 3, 4), "B": (5, 6, 7, 8, 9)}
+TRUTH_SEEDS = {"A": tuple(range(10, 17)), "B": tuple(range(20, 28))}
+"""More seeds for configurations near the front, where one in two decides which of them is truly the best."""
+REPEATS = 3
+"""Measurements of a configuration in a campaign, each with another seed of the set."""
+STAGES = ("photon_map", "precomputed_irradiance", "direct", "indirect", "caustics")
+
+Settings = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A scene, how it is shown, the settings that all of its renders share, and the axes."""
+
+    scene: str
+    exposure: float
+    fixed: Settings
+    axes: Mapping[str, tuple[Any, ...]]
+    held_out: bool = False
+
+    @cached_property
+    def configurations(self) -> list[dict[str, Any]]:
+        """Every combination of the axes, in their order."""
+        return [dict(zip(self.axes, values, strict=True)) for values in product(*self.axes.values())]
+
+    @property
+    def sets(self) -> tuple[str, ...]:
+        """The sets of seeds that are rendered: B alone of the held-out scene."""
+        return ("B",) if self.held_out else ("A", "B")
+
+    @property
+    def limit(self) -> float:
+        """Acceptable difference: 100 at 256x256, scaled to this size."""
+        return 100.0 * SIDE * SIDE / 65536
+
+
+GRIDS = {
+    grid.scene: grid
+    for grid in (
+        Grid(
+            "cornell-boxes", 3.0, {"gather_distance_m": 0.03},
+            {"samples_per_pixel": (2, 4, 9), "shadow_rays": (1, 2, 4, 9), "global_photons": (5_000, 20_000, 60_000),
+             "final_gather_rays": (36, 100, 256), "irradiance_cache_tolerance": (0.4, 0.8, 1.6)},
+        ),
+        Grid(
+            "cornell-spheres", 3.0, {"gather_distance_m": 0.03},
+            {"samples_per_pixel": (2, 4, 9), "shadow_rays": (1, 4), "caustic_photons": (10_000, 30_000, 100_000),
+             "global_photons": (5_000, 20_000, 60_000), "final_gather_rays": (36, 100, 256),
+             "irradiance_cache_tolerance": (0.5, 1.0)},
+        ),
+        Grid(
+            "thin-wall", 1.0, {},
+            {"samples_per_pixel": (2, 4, 9), "shadow_rays": (1, 4), "gather_distance_m": (0.01, 0.03, 0.09),
+             "global_photons": (5_000, 20_000, 60_000), "final_gather_rays": (64, 144, 324),
+             "irradiance_cache_tolerance": (0.5, 1.0)},
+            held_out=True,
+        ),
+    )
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Render:
+    """One picture: what it took and how far it is from the reference.
+
+    cpu_s       CPU seconds over all threads, the stand-in for energy
+    stages_s    CPU seconds of each stage that ran
+    pixels      beginning of the pixel hash: equal where a setting changed nothing
+    """
+
+    settings: dict[str, Any]
+    seed: int
+    cpu_s: float
+    stages_s: dict[str, float]
+    difference: float
+    pixels: str
+
+
+def columns(grid: Grid) -> list[str]:
+    """Of a grid's table."""
+    return [*grid.axes, "seed", "cpu_s", *(f"{stage}_cpu_s" for stage in STAGES), "difference", "pixels"]
+
+
+def table(grid: Grid) -> Path:
+    """The file of a grid's renders."""
+    return DATA / f"{grid.scene}.csv"
+
+
+def read_renders(grid: Grid) -> list[Render]:
+    """The renders of a grid that are kept; none where there is no file yet."""
+    if not table(grid).is_file():
+        return []
+    with table(grid).open(newline="", encoding="utf-8") as file:
+        return [_render(grid, row) for row in csv.DictReader(file)]
+
+
+def _render(grid: Grid, row: Mapping[str, str]) -> Render:
+    return Render(
+        {name: type(values[0])(row[name]) for name, values in grid.axes.items()},
+        int(row["seed"]),
+        float(row["cpu_s"]),
+        {stage: float(row[f"{stage}_cpu_s"]) for stage in STAGES if row[f"{stage}_cpu_s"]},
+        float(row["difference"]),
+        row["pixels"],
+    )
+
+
+def read_reference(grid: Grid) -> dict[str, Any]:
+    """How the reference of a grid was made, its noise floor, and what the preset `reference` takes and reaches."""
+    found: dict[str, Any] = json.loads((DATA / f"{grid.scene}.json").read_text(encoding="utf-8"))
+    return found

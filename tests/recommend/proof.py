@@ -1,0 +1,100 @@
+"""How often advice holds: random questions to simulated campaigns, judged by what is true."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .scoring import Campaign, Known, campaign
+from .strategies import Question
+
+QUESTIONS = 300
+PER_CAMPAIGN = 5
+"""Questions to one campaign, which share its session's drift and the luck of its noise."""
+LIMITS_SPAN = (0.5, 2.0)
+"""Where limits are random: this share to this multiple of the acceptable difference."""
+
+Strategy = Callable[[Campaign, Question], int | None]
+
+
+@dataclass
+class Score:
+    """What became of a strategy's answers.
+
+    broken      answers whose true cost exceeds the budget or whose true difference exceeds the limit
+    regrets     of the others: how much worse than the best that truly fits, 0.35 for 35 %
+    refused     questions that something truly fits and that were answered by "none"
+    """
+
+    asked: int = 0
+    answered: int = 0
+    broken: int = 0
+    refused: int = 0
+    regrets: list[float] = field(default_factory=list)
+
+    @property
+    def broken_share(self) -> float:
+        """Of the questions asked."""
+        return self.broken / max(self.asked, 1)
+
+    def regret(self, percentile: float) -> float:
+        """Over the answers that hold."""
+        return float(np.percentile(self.regrets, percentile)) if self.regrets else float("nan")
+
+
+def campaigns(
+    known: Known, seed: int, count: int, share: float = 1.0, one_session: bool = False
+) -> Iterator[tuple[Campaign, np.random.Generator]]:
+    """Campaigns that measure the whole grid or a random share of it, each with the generator that goes with it."""
+    for number in range(count):
+        rng = np.random.default_rng([seed, number])
+        places = None if share == 1 else rng.choice(len(known.cost), round(share * len(known.cost)), replace=False)
+        yield campaign(known, rng, places, one_session), rng
+
+
+def budget_question(known: Known, rng: np.random.Generator) -> Question:
+    """A budget from a little below the cheapest acceptable configuration to the dearest; the acceptable limit."""
+    limit = known.grid.limit
+    cheapest = known.cheapest(limit) or float(known.cost.min())
+    return Question(float(np.exp(rng.uniform(np.log(0.9 * cheapest), np.log(known.cost.max())))), limit)
+
+
+def limit_question(known: Known, rng: np.random.Generator) -> Question:
+    """No budget, and a limit around the acceptable one."""
+    low, high = (share * known.grid.limit for share in LIMITS_SPAN)
+    return Question(None, float(np.exp(rng.uniform(np.log(low), np.log(high)))))
+
+
+def judge(known: Known, question: Question, place: int | None, score: Score) -> None:
+    """Add one answer to a score."""
+    score.asked += 1
+    best = known.cheapest(question.limit) if question.budget is None else known.best(question.budget, question.limit)
+    if place is None:
+        score.refused += best is not None
+        return
+    score.answered += 1
+    cost, difference = float(known.cost[place]), float(known.difference[place])
+    if difference > question.limit or (question.budget is not None and cost > question.budget):
+        score.broken += 1
+    elif best is not None:
+        score.regrets.append((cost if question.budget is None else difference) / best - 1)
+
+
+def score(
+    known: Known,
+    strategies: dict[str, Strategy],
+    ask: Callable[[Known, np.random.Generator], Question],
+    seed: int,
+    questions: int = QUESTIONS,
+    share: float = 1.0,
+    one_session: bool = False,
+) -> dict[str, Score]:
+    """Every strategy on the same campaigns and questions."""
+    scores = {name: Score() for name in strategies}
+    for held, rng in campaigns(known, seed, -(-questions // PER_CAMPAIGN), share, one_session):
+        for question in [ask(known, rng) for _ in range(PER_CAMPAIGN)]:
+            for name, strategy in strategies.items():
+                judge(known, question, strategy(held, question), scores[name])
+    return scores

@@ -1,0 +1,97 @@
+"""Ways to choose settings from what a campaign measured: ours, and those that people use instead.
+
+Each takes a campaign and a question and gives the place of a configuration in its grid, or None for "none fits".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from joulebox_server.analysis.candidates import Known, candidates
+from joulebox_server.analysis.documents import Tradeoff
+from joulebox_server.analysis.recommend import recommend
+
+from .scoring import Campaign
+
+OPTUNA_TRIALS = 100
+
+
+@dataclass(frozen=True)
+class Question:
+    """The best picture for a budget [J], or, where it is None, the cheapest one; always within a limit."""
+
+    budget: float | None
+    limit: float
+
+
+@lru_cache(maxsize=2)
+def found_by(campaign: Campaign) -> tuple[Tradeoff, Known]:
+    """Built once for all questions to a campaign."""
+    tradeoff = campaign.tradeoff()
+    return tradeoff, candidates(tradeoff, "energy_j")
+
+
+def joulebox(campaign: Campaign, question: Question) -> int | None:
+    """By the upper confidence bounds of `joulebox recommend`."""
+    tradeoff, known = found_by(campaign)
+    answer = recommend(tradeoff, question.budget, difference_limit=question.limit, proposals=0, known=known)
+    return None if answer.configuration_id is None else int(answer.configuration_id)
+
+
+def joulebox_predicting(campaign: Campaign, question: Question) -> int | None:
+    """As `joulebox recommend --predict`: combinations that the campaign did not measure are candidates too."""
+    tradeoff, known = found_by(campaign)
+    answer = recommend(
+        tradeoff, question.budget, difference_limit=question.limit, predict=True, proposals=0, known=known
+    )
+    if answer.settings is None:
+        return None
+    axes = campaign.known.grid.axes
+    wanted = {name: answer.settings[name] for name in axes}
+    return campaign.known.grid.configurations.index(wanted)
+
+
+def mean_of_three(campaign: Campaign, question: Question) -> int | None:
+    """By the means of the repeats, as if they were exact."""
+    return _by_values(campaign, question, campaign.energy.mean(axis=1), campaign.mean_difference)
+
+
+def measured_once(campaign: Campaign, question: Question) -> int | None:
+    """By the first repeat alone."""
+    return _by_values(campaign, question, campaign.energy[:, 0], campaign.first_difference)
+
+
+def _by_values(campaign: Campaign, question: Question, energy: np.ndarray, difference: np.ndarray) -> int | None:
+    fits = difference <= question.limit
+    if question.budget is not None:
+        fits &= energy <= question.budget
+    if not fits.any():
+        return None
+    sought = energy if question.budget is None else difference
+    return int(campaign.places[np.argmin(np.where(fits, sought, np.inf))])
+
+
+def optuna_best(campaign: Campaign, question: Question, seed: int) -> int | None:
+    """Optuna's best feasible trial: constrained TPE, every trial measured once."""
+    import optuna
+
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    grid = campaign.known.grid
+    places = {tuple(settings.values()): place for place, settings in enumerate(grid.configurations)}
+
+    def objective(trial: optuna.Trial) -> float:
+        place = places[tuple(trial.suggest_categorical(name, list(values)) for name, values in grid.axes.items())]
+        energy, difference = campaign.energy[place, 0], campaign.first_difference[place]
+        trial.set_user_attr("place", place)
+        trial.set_constraint("budget", -1.0 if question.budget is None else float(energy - question.budget))
+        trial.set_constraint("limit", float(difference - question.limit))
+        return float(energy if question.budget is None else np.log(difference))
+
+    study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=seed))
+    study.optimize(objective, n_trials=OPTUNA_TRIALS)
+    feasible = [trial for trial in study.trials if max(trial.constraints.values()) <= 0]
+    if not feasible:
+        return None
+    return int(min(feasible, key=lambda trial: np.inf if trial.value is None else trial.value).user_attrs["place"])
