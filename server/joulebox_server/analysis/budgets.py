@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from joulebox_server.analysis.errors import AnalysisError
+from joulebox_server.errors import InvalidError
 
 JOULES_PER_WATT_HOUR = 3600.0
 
@@ -31,25 +32,25 @@ def make_budget(
     watt_hours          for all `images`
     battery_percent     of a full battery of `battery_full_j` [J], for all `images`; for one unless given
 
-    Raises AnalysisError for more than one kind, for a number that makes no sense, for watt-hours without images
-    or images without either, and for a share of a battery whose capacity is not known.
+    Raises InvalidError for more than one kind and for images without what they share or the other way round,
+    AnalysisError for a number that makes no sense and for a share of a battery whose capacity is not known.
     """
     given = {
         "budget_j": joules, "budget_s": seconds, "budget_wh": watt_hours, "battery_percent": battery_percent,
     }  # fmt: skip
     named = [name for name, value in given.items() if value is not None]
     if len(named) > 1:
-        raise AnalysisError(f"give one budget, not {' and '.join(named)}: budget_j, budget_s, budget_wh with images, "
+        raise InvalidError(f"give one budget, not {' and '.join(named)}: budget_j, budget_s, budget_wh with images, "
                             "or battery_percent")  # fmt: skip
     for name in named:
         _check_positive(name, given[name])
     if images is not None and named[:1] not in (["budget_wh"], ["battery_percent"]):
-        raise AnalysisError("images goes with budget_wh or battery_percent, which all of them share")
+        raise InvalidError("images goes with budget_wh or battery_percent, which all of them share")
     if battery_percent is not None:
         return _of_battery(battery_percent, 1 if images is None else images, battery_full_j)
     if watt_hours is not None:
         if images is None:
-            raise AnalysisError("budget_wh and images belong together: watt-hours for that many images")
+            raise InvalidError("budget_wh and images belong together: watt-hours for that many images")
         per_image = budget_per_image_j(watt_hours, images)
         return Budget(joules=per_image, told=f"{watt_hours:g} Wh for {images:,} images")
     return Budget(joules=joules, seconds=seconds)

@@ -2,7 +2,7 @@
 
 import pytest
 from joulebox_server.analysis.budgets import make_budget
-from joulebox_server.analysis.errors import AnalysisError
+from joulebox_server.errors import ServerError
 
 
 def test_every_kind():
@@ -31,5 +31,5 @@ def test_every_kind():
     ],
 )
 def test_what_makes_no_sense_is_refused(given, sentence):
-    with pytest.raises(AnalysisError, match=sentence):
+    with pytest.raises(ServerError, match=sentence):
         make_budget(**given)

@@ -101,6 +101,14 @@ def test_noise_is_steadied_by_neighbours():
     assert errors[1] < 0.75 * errors[0]
 
 
+def test_what_is_measured_well_is_not_steadied_away():
+    """Points known to 0.1 % that follow no law: each keeps its own value, whatever its neighbours say."""
+    codes = np.array([(i, j) for i in range(5) for j in range(5)], np.intp)
+    lawless = np.random.default_rng(2).standard_normal(25)
+    fit = Anova([Factor(np.linspace(0, 1, 5)), Factor(np.linspace(0, 1, 5))], codes, lawless, np.full(25, 1e-6))
+    assert np.abs(fit.steadied().mean - lawless).max() < 0.01
+
+
 def test_gradient_of_the_likelihood_is_its_slope():
     codes = np.array([(i, j) for i in range(4) for j in range(3)], np.intp)
     factors = [Factor(np.linspace(0, 1, 4)), Factor(None)]
