@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 from joulebox_server.analysis.documents import Recommendation, Tradeoff
+from joulebox_server.routes.recommendation import ConfirmRequest
 from joulebox_server.routes.sweeps import ActionRequest
 from joulebox_server.schemas import answers, device, measure, sweep
 from joulebox_server.schemas.examples import EXAMPLES
@@ -18,8 +19,9 @@ SHOWN_ELSEWHERE = {"Tradeoff": Tradeoff, "Recommendation": Recommendation}
 
 
 def model_of(name: str) -> type[BaseModel]:
-    if name == "ActionRequest":
-        return ActionRequest
+    for own in (ActionRequest, ConfirmRequest):
+        if name == own.__name__:
+            return own
     return next(getattr(module, name) for module in MODULES if hasattr(module, name))
 
 

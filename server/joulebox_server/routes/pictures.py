@@ -12,7 +12,7 @@ from joulebox_server.analysis.images import read_picture, tonemap_png
 from joulebox_server.errors import InvalidError, ServerError, UnavailableError
 from joulebox_server.problems import told
 from joulebox_server.routes.blobs import FOREVER, ShaPath
-from joulebox_server.schemas.answers import DifferenceDocument
+from joulebox_server.schemas.answers import DifferenceDocument, DifferenceVersions, Recomputed
 from joulebox_server.services import Operator, ServicesOf, Viewer
 from joulebox_server.store import blobs, differences
 from joulebox_server.store.database import Row
@@ -48,13 +48,13 @@ async def compare(
     return differences.document(difference)
 
 
-@router.get("/compare/versions", responses=told(404))
+@router.get("/compare/versions", response_model=DifferenceVersions)
 def versions(services: ServicesOf, _: Viewer, reference: Sha, test: Sha) -> dict[str, Any]:
     """Every value that was computed for a pair, of whatever version of the metric, the newest first."""
     return {"items": services.store.read(differences.versions, reference, test)}
 
 
-@router.post("/differences:recompute", responses=told(404))
+@router.post("/differences:recompute", response_model=Recomputed, responses=told(404, 409, 507))
 def recompute(services: ServicesOf, _: Operator, sweep: str | None = None) -> dict[str, Any]:
     """Ask for the differences of a sweep, or of all, that today's metric has not computed."""
     asked, kept = services.store.write(differences.recompute, sweep)

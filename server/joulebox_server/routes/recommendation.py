@@ -12,6 +12,7 @@ from joulebox_server.analysis.fleet import transferred
 from joulebox_server.analysis.recommend import PROPOSALS, recommend
 from joulebox_server.problems import told
 from joulebox_server.routes.paging import Key
+from joulebox_server.schemas.answers import Confirmed
 from joulebox_server.schemas.base import Document
 from joulebox_server.services import Operator, ServicesOf, Viewer
 from joulebox_server.store import confirmation
@@ -55,7 +56,7 @@ def get_recommendation(
     return services.store.read(_recommended, sweep, asked, PROPOSALS)
 
 
-@router.post("/sweeps/{sweep}/recommendation:confirm", responses=told(404, 409))
+@router.post("/sweeps/{sweep}/recommendation:confirm", response_model=Confirmed, responses=told(404, 409, 413, 507))
 def confirm(
     services: ServicesOf,
     _: Operator,

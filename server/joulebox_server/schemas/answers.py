@@ -267,6 +267,24 @@ class DifferenceDocument(Document):
     delta_sha256: str
 
 
+class DifferenceVersions(Document):
+    items: list[DifferenceDocument]
+
+
+class Recomputed(Document):
+    metric: str
+    version: int
+    asked: int
+    kept: int
+
+
+class Confirmed(Document):
+    """What was queued to confirm a recommendation; `proposals` as the recommendation itself states them."""
+
+    queued_jobs: int
+    proposals: list[dict[str, Any]]
+
+
 class Alive(Document):
     status: Literal["ok"]
     version: str

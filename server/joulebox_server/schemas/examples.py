@@ -148,6 +148,15 @@ _DISAGREEMENT: Final = {
     "other_result_id": _ID,
 }
 
+_DIFFERENCE: Final = {
+    "metric": "ltdiff-style",
+    "version": 1,
+    "value": 61.5,
+    "reference_sha256": _SHA,
+    "test_sha256": _SHA[::-1],
+    "delta_sha256": _SHA,
+}
+
 
 def _page(item: dict[str, Any]) -> dict[str, Any]:
     return {"items": [item], "next": None}
@@ -220,14 +229,11 @@ EXAMPLES: Final[dict[str, Any]] = {
     "Accepted": {"accepted": "ok"},
     "StoredBlob": {"sha256": _SHA},
     "ResultPage": _page(_ROW),
-    "DifferenceDocument": {
-        "metric": "ltdiff-style",
-        "version": 1,
-        "value": 61.5,
-        "reference_sha256": _SHA,
-        "test_sha256": _SHA[::-1],
-        "delta_sha256": _SHA,
-    },
+    "DifferenceDocument": _DIFFERENCE,
+    "DifferenceVersions": {"items": [_DIFFERENCE]},
+    "Recomputed": {"metric": "ltdiff-style", "version": 2, "asked": 40, "kept": 0},
+    "ConfirmRequest": {"count": 3},
+    "Confirmed": {"queued_jobs": 9, "proposals": [{"label": "gather_count=50", "basis": "predicted"}]},
     "Alive": {"status": "ok", "version": "0.1.0"},
     "Ready": {"status": "ok", "free_bytes": 71_000_000_000},
 }

@@ -213,7 +213,7 @@ def retry_failed(db: Database, key: str) -> tuple[str, int]:
 
 
 def reopen(db: Database, sweep_id: str) -> None:
-    """Let an ended sweep run on: jobs are retried or were added. Raises ConflictError when it was cancelled."""
+    """Let an ended sweep run again: jobs are tried once more or were added. ConflictError when it was cancelled."""
     sweep = find(db, sweep_id)
     if sweep["state"] == "cancelled":
         raise ConflictError(f"the sweep {sweep['name']!r} is cancelled; submit it again instead")
