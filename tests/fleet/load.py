@@ -88,7 +88,7 @@ def load(seconds: float, blobs: int, jobs_each: int, folder: Path) -> Loaded:
         before_s = cpu_s(pid)
         command = [sys.executable, str(HERE / "simulated_agents.py"), "127.0.0.1", str(port), str(seconds), str(blobs)]
         known = json.dumps([asdict(device) for device in devices])
-        path = os.pathsep.join([*sys.path[:2], os.environ.get("PYTHONPATH", "")])
+        path = os.pathsep.join([str(HERE.parent / "server"), os.environ.get("PYTHONPATH", "")])
         agents = subprocess.run(
             command, input=known, capture_output=True, text=True, check=True, env=os.environ | {"PYTHONPATH": path}
         )
