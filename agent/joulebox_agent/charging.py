@@ -69,7 +69,10 @@ class Charging:
 
     def __init__(self, band: Band, sysfs_root: Path, source: str = "battery_gauge", hook: str | None = None) -> None:
         self.band, self._root, self._source = band, sysfs_root, source
-        self._hook = shlex.split(hook) if hook else None
+        try:
+            self._hook = shlex.split(hook) if hook else None
+        except ValueError as error:
+            raise UsageError(f"The charge hook {hook!r} is no command: {error}.") from error
         self._supplies = PowerSupplyClass(Sysfs(sysfs_root))
         # a plug that is on when we start was left so by a process that was killed while charging
         self._charging = self._hook is not None and self.plugged()

@@ -31,12 +31,14 @@ def read_configurations(path: Path) -> list[Entry]:
 
     An entry is a table of settings, or {"settings": {...}, "name": "...", "timed_only": true}.
     """
+    if path.exists() and not path.is_file():
+        raise UsageError(f"{path} is no file of configurations.")
     try:
         text = path.read_text(encoding="utf-8")
         document = tomllib.loads(text) if path.suffix == ".toml" else json.loads(text)
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f"{path} cannot be read: {getattr(error, 'strerror', None) or 'not text'}.") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         kind = "TOML" if path.suffix == ".toml" else "JSON"
         raise UsageError(f"{path} is not {kind}: {error}.") from error
     rows = document.get("configurations") if isinstance(document, dict) else document

@@ -8,6 +8,7 @@ import numpy as np
 from joulebox_agent import drift
 from joulebox_agent.calibration import Calibration
 from joulebox_agent.estimate import Interval, two_stage_interval
+from joulebox_agent.faults import counter_fault
 from joulebox_agent.lag import Lag, fit_lag
 from joulebox_agent.series import PowerSeries
 from joulebox_agent.sources.reading import EnergySource, Primary
@@ -70,6 +71,9 @@ def window_energies(
         return WindowEnergies(nothing, nothing, (gauge_bound,))
     notes += _short_windows(series, windows)
     notes += disagreement_notes
+    backwards = sum(counter_fault(series, w.start_s, w.end_s) is not None for w in windows)
+    if backwards:
+        notes.append(f"the counter beside the gauge ran backwards or lost its thread in {backwards} windows")
     if rejected:
         counter_j = nothing
     wider = drift_widening(series, "power", windows, lag, pilot_count)

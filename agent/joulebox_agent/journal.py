@@ -108,6 +108,8 @@ class Journal:
 
     def _read(self) -> list[list[dict[str, Any]]]:
         """The lives of earlier processes: each a `begin` and its commits. A torn last line is cut off."""
+        if self.path.exists() and not self.path.is_file():
+            raise UsageError(f"{self.path} is no file; progress is kept in one.")
         try:
             content = self.path.read_bytes()
         except FileNotFoundError:
@@ -123,7 +125,7 @@ class Journal:
                     lives.append([{"plan": line["begin"], "start_s": float(line["start_s"])}])
                 else:
                     lives[-1].append(line["commit"])
-            except (ValueError, KeyError, IndexError, TypeError) as error:
+            except (ValueError, KeyError, IndexError, TypeError, RecursionError) as error:
                 raise UsageError(f"Line {number} of {self.path} is no progress of ours; use another file.") from error
         if any(life[0]["plan"] != self._plan for life in lives):
             raise UsageError(f"{self.path} is the progress of another measurement; give each a file of its own.")

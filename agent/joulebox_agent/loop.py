@@ -85,7 +85,10 @@ _EVENT: TypeAdapter[ReadyEvent | StageEvent | ImageEvent | DoneEvent] = TypeAdap
 def renderer_command(given: str | None) -> list[str]:
     """The program to run: what the user gave, else joulebox-render beside this Python, else on PATH."""
     if given:
-        words = shlex.split(given)
+        try:
+            words = shlex.split(given)
+        except ValueError as error:
+            raise UsageError(f"The renderer {given!r} is no command: {error}.") from error
         if not words or shutil.which(words[0]) is None:
             raise UsageError(f"The renderer {given!r} is not a program on this machine; check --renderer.")
         return words

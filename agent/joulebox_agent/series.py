@@ -13,7 +13,8 @@ from joulebox_agent.sources.reading import Primary
 
 Floats = NDArray[np.float64]
 HELD_TOO_LONG = 1.5  # refreshes after which an unchanged value was refreshed, not held
-LONGEST_GAP_S = 10.0  # without a good sample, or three refreshes when that is longer
+# What may pass without a good sample: three polls, or as many refreshes as fit into a tenth of the stretch.
+LEAST_GAP_S, GAP_POLLS, GAP_REFRESHES, GAP_SHARE = 2.0, 3, 3, 0.1
 FEWEST_CHANGES = 4  # of the power, below which its refresh is told by the other raw numbers
 RECENT_STEPS = 8  # of a counter, whose rate carries it on after the last one
 TORN = 0.5  # refreshes; a power that stood shorter than this was read while the packs were being updated
@@ -144,8 +145,11 @@ class PowerSeries:
         return float(np.diff(edges_s).max())
 
     def covered(self, start_s: float, end_s: float) -> bool:
-        """No stretch without a good sample is longer than a few refreshes."""
-        return self.longest_gap_s(start_s, end_s) <= max(LONGEST_GAP_S, 3 * (self._refresh_s or 0.0))
+        """No time without a good sample is long enough to matter to the energy of the stretch."""
+        polls_s = GAP_POLLS * float(np.median(np.diff(self.poll_times_s))) if self.poll_times_s.size > 1 else 0.0
+        tenth_s = GAP_SHARE * (end_s - start_s)
+        refreshes_s = min(GAP_REFRESHES * self._refresh_s, tenth_s) if self._refresh_s else tenth_s
+        return self.longest_gap_s(start_s, end_s) <= max(LEAST_GAP_S, polls_s, refreshes_s)
 
     def _integral_j(self, start_s: float, end_s: float) -> float | None:
         """Trapezoid over updates, bridged to both edges; the last value is held to the end."""

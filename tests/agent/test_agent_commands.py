@@ -79,6 +79,11 @@ def test_a_wrong_code_is_one_sentence(
         ("enroll", "--server", "http://fleet", "--code-file", "/dev/null"),
         ("run",),
         ("run", "--max-jobs", "0"),
+        ("measure", "scenes/cornell-boxes", "--source", "none", "--renderer", "'unbalanced"),
+        ("measure", "scenes/cornell-boxes", "--source", "none", "--cool-to", "nan"),
+        ("measure", "scenes/cornell-boxes", "--source", "none", "-o", "/"),
+        ("measure", "scenes/cornell-boxes", "--source", "none", "--configurations", "/dev/zero"),
+        ("measure", "scenes/cornell-boxes", "--source", "none", "--resume", "/dev/zero"),
     ],
 )
 def test_wrong_use(agent: Agent, tmp_path: Path, words: tuple[str, ...]) -> None:
@@ -86,6 +91,13 @@ def test_wrong_use(agent: Agent, tmp_path: Path, words: tuple[str, ...]) -> None
     assert code == 2
     assert out == ""
     assert err.strip()
+
+
+def test_a_file_of_configurations_that_nests_without_end(agent: Agent, tmp_path: Path) -> None:
+    (tmp_path / "deep.json").write_text("[" * 100_000)
+    code, _, err = agent("measure", "scene", "--source", "none", "--configurations", tmp_path / "deep.json")
+    assert code == 2
+    assert "is not JSON" in err
 
 
 def test_an_unreachable_server_is_one_sentence(agent: Agent, tmp_path: Path) -> None:

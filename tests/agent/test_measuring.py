@@ -323,6 +323,15 @@ def test_several_configurations_from_the_command_line(agent: Agent, tmp_path: Pa
     assert not progress.exists()  # the result is where it belongs
 
 
+def test_a_plot_that_cannot_be_written_costs_no_result(agent: Agent, tmp_path: Path) -> None:
+    plot = tmp_path / "p.svg"
+    plot.mkdir()
+    code, out, err = agent("measure", "cornell", *SHORT, "--source", "replay@0.1", "--plot", plot, "--json")
+    assert code == 1
+    assert json.loads(out)["void"] is None
+    assert "cannot be written" in err
+
+
 @pytest.mark.parametrize(
     "words",
     [

@@ -148,6 +148,28 @@ def test_gaps_and_a_broken_counter_are_named() -> None:
     samples = [s for s in polled(times_s, power_w, counter_w=17.0) if not 50.0 < s.time_s < 80.0]
     assert stretch_fault(PowerSeries(samples), 40.0, 100.0, "power") == "no good sample for 30.0 s"
     assert stretch_fault(PowerSeries([]), 40.0, 100.0, "power") == "no good sample at all"
+
+
+@pytest.mark.parametrize(("length_s", "gap_s", "void"), [(60.0, 5.0, False), (60.0, 7.0, True), (2.0, 2.5, True)])
+def test_a_tenth_of_a_window_may_pass_without_a_good_sample(length_s: float, gap_s: float, void: bool) -> None:
+    """Short windows too: one that holds no good sample at all was once read from the last value held before it."""
+    samples = [s for s in polled(*noisy(4.0, 120.0)) if not 50.0 < s.time_s < 50.0 + gap_s]
+    series, end_s = PowerSeries(samples), 50.2 + length_s
+    assert (stretch_fault(series, 50.2, end_s, "power") is not None) is void
+    assert (series.energy_j(50.2, end_s, "power") is None) is void
+
+
+def test_a_counter_that_runs_backwards_beside_a_gauge_is_named() -> None:
+    samples = [
+        Sample(s.time_s, Reading(power_w=s.reading.power_w, counter_j=17.0 * s.time_s, epoch=int(s.time_s // 50),
+                                 raw=(s.reading.power_w or 0.0, s.time_s)))
+        for s in polled(*noisy(4.0, 200.0))
+    ]  # fmt: skip
+    windows = [Window(start_s, start_s + 60.0, images=20) for start_s in (5.0, 65.0)]
+    found = window_energies(PowerSeries(samples), GAUGE, windows, 0.1)
+    assert found.gross_j[0] == pytest.approx(17.0 * 60, rel=0.05)
+    assert found.counter_j == (None, None)
+    assert any("ran backwards" in note for note in found.notes)
     backwards = [Sample(s.time_s, Reading(counter_j=s.reading.counter_j, raw=s.reading.raw, epoch=int(s.time_s > 120)))
                  for s in samples]  # fmt: skip
     assert "ran backwards" in str(stretch_fault(PowerSeries(backwards), 90.0, 150.0, "counter"))

@@ -1,6 +1,7 @@
 """`joulebox-agent measure`."""
 
 import importlib.util
+import math
 import os
 import tempfile
 from dataclasses import replace
@@ -15,7 +16,7 @@ from joulebox_agent.calibrating import calibration_for, companion_of
 from joulebox_agent.charging import Band, Charging, Forecast
 from joulebox_agent.cli.report import VoidMeasurementError, deliver, summary
 from joulebox_agent.configurations import Entry, read_configurations
-from joulebox_agent.errors import UsageError
+from joulebox_agent.errors import AgentError, UsageError
 from joulebox_agent.journal import Journal
 from joulebox_agent.loop import renderer_command
 from joulebox_agent.measure import make_meter
@@ -100,6 +101,8 @@ def measure(
         _make_folder(folder)
     if plot is not None:
         _check_plot(plot)
+    if output is not None and output.is_dir():
+        raise UsageError(f"-o {output} is a folder; name a file in it.")
     choice = choose(source, sysfs_root)
     charging = _charging(choice, sysfs_root, several, charge_band, charge_hook)
     plan = {"arguments": arguments, "entries": [[*e.arguments(), e.timed_only] for e in entries], "command": command,
@@ -135,11 +138,11 @@ def measure(
     words = "\n".join(summary(result.document) for result in results if result.document.void is None)
     if not as_json and void is not None:
         words = ""
-    if plot is not None:
-        _draw(plot, session, entries)
     deliver(results, document, words, as_json, output, keep)
     if resume is not None:
         Journal(resume, plan).finish()
+    if plot is not None:
+        _draw(plot, session, entries)
     if void is not None:
         raise VoidMeasurementError(f"The measurement is void: {void}.")
 
@@ -186,6 +189,8 @@ def _course(order: str, seed: int, control: int, cool_to_c: float | None, entrie
     chosen: dict[str, Order] = {"blocks": "blocks", "sequence": "sequence"}
     if order not in chosen:
         raise UsageError(f"--order {order!r} must be blocks or sequence.")
+    if cool_to_c is not None and not math.isfinite(cool_to_c):
+        raise UsageError(f"--cool-to {cool_to_c} must be a temperature in °C.")
     if control > len(entries) or entries[control - 1].timed_only:
         raise UsageError(f"--control {control} must be the number of a metered configuration.")
     return Course(chosen[order] if len(entries) > 1 else "sequence", seed, control - 1, cool_to_c)
@@ -235,7 +240,7 @@ def _draw(path: Path, session: Session, entries: list[Entry]) -> None:
     try:
         save_chart(power_chart(session.records, [entry.label for entry in entries]), path)
     except OSError as error:
-        raise UsageError(f"The plot {path} cannot be written: {error.strerror}.") from error
+        raise AgentError(f"The plot {path} cannot be written: {error.strerror}.") from error
 
 
 def _say_source(listener: Listener, choice: Choice) -> None:
