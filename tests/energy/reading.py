@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from joulebox_agent.estimates.energies import IDLE_PIECES, WindowEnergies, idle_power, window_energies
 from joulebox_agent.estimates.estimate import Interval, net_of_idle, two_stage_interval, windows_needed
-from joulebox_agent.estimates.windows import Window, WindowSplitter
+from joulebox_agent.estimates.windows import Window
 from joulebox_agent.loop import ImageEvent, StageEvent
 from joulebox_agent.sampling.sampler import Sampler
 from joulebox_agent.sampling.series import PowerSeries
@@ -147,19 +147,21 @@ class Run:
 def windows_of(block: list[Image], window_s: float) -> list[Window]:
     """The windows the agent would make of these images; the first image is its warm-up."""
     first, *images = block
-    splitter = WindowSplitter(first[-1][2], window_s)
-    windows = []
+    windows: list[Window] = []
+    now = Window(first[-1][2])
     for number, image in enumerate(images):
-        begin_s, end_s = image[0][1], image[-1][2]
-        event = ImageEvent.model_construct(
-            image=number, start_s=begin_s, end_s=end_s, time_s=end_s - begin_s, cpu_s=0.0
+        now.add(
+            ImageEvent.model_construct(
+                image=number, start_s=image[0][1], end_s=image[-1][2], time_s=image[-1][2] - image[0][1], cpu_s=0.0
+            ),
+            [
+                StageEvent.model_construct(image=number, name=name, start_s=start_s, end_s=end_s)
+                for name, start_s, end_s in image
+            ],
         )
-        stages = [
-            StageEvent.model_construct(image=number, name=name, start_s=start_s, end_s=stop_s)
-            for name, start_s, stop_s in image
-        ]
-        if window := splitter.add(event, stages):
-            windows.append(window)
+        if now.wall_s >= window_s:
+            windows.append(now)
+            now = Window(now.end_s)
     return windows
 
 

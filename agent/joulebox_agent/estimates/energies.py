@@ -55,8 +55,9 @@ def window_energies(
     nothing = (None,) * len(windows)
     if source.quality == "none" or not windows:
         return WindowEnergies(nothing, nothing, ())
-    lag = fit_lag(series, [(w.start_s, w.end_s) for w in windows]) if source.primary == "power" else NO_LAG
-    gross_j = tuple(_gross_j(series, source.primary, window, lag, row) for row, window in enumerate(windows))
+    stretches = [(w.start_s, w.end_s) for w in windows]
+    lag = fit_lag(series, stretches) if source.primary == "power" else NO_LAG
+    gross_j = _energies_j(series, source.primary, stretches, lag)
     counter_j = tuple(series.energy_j(w.start_s, w.end_s, "counter") for w in windows)
     notes: list[str] = []
     disagreement_notes, rejected = _disagreement(gross_j, counter_j, resolution_j or 0.0)
@@ -80,9 +81,20 @@ def window_energies(
     return WindowEnergies(gross_j, counter_j, tuple(notes), wider, lag.lag_s)
 
 
-def _gross_j(series: PowerSeries, primary: Primary, window: Window, lag: Lag, row: int) -> float | None:
-    energy_j = series.energy_j(window.start_s, window.end_s, primary, lag.lag_s)
-    return energy_j + sum(lag.edges_j[row]) if energy_j is not None and primary == "power" else energy_j
+def stretch_energies_j(
+    series: PowerSeries, primary: Primary, stretches: Sequence[tuple[float, float]]
+) -> tuple[float | None, ...]:
+    """Energy [J] of stretches (start_s, end_s) that do not overlap, a gauge's lag allowed for; None where unknown."""
+    return _energies_j(series, primary, stretches, fit_lag(series, stretches) if primary == "power" else NO_LAG)
+
+
+def _energies_j(
+    series: PowerSeries, primary: Primary, stretches: Sequence[tuple[float, float]], lag: Lag
+) -> tuple[float | None, ...]:
+    plain_j = [series.energy_j(start_s, end_s, primary, lag.lag_s) for start_s, end_s in stretches]
+    if primary != "power":
+        return tuple(plain_j)
+    return tuple(j + sum(edges_j) if j is not None else None for j, edges_j in zip(plain_j, lag.edges_j, strict=True))
 
 
 def drift_widening(
