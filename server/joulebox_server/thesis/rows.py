@@ -67,4 +67,4 @@ class Row:
 
 def configuration_key(settings: Mapping[str, Any]) -> str:
     """Equal for equal settings, the seed aside."""
-    return repr(sorted((name, value) for name, value in settings.items() if name not in ("seed", "threads")))
+    return repr(sorted((name, value) for name, value in settings.items() if name != "seed"))
