@@ -60,7 +60,7 @@ class StageIntervals(_Part):
 
 
 class StageRecord(_Part):
-    """Per image: wall and CPU seconds, rays, joules; of the seconds, those for what is seen through mirrors and glass."""
+    """Per image: wall and CPU seconds, rays, joules; `specular_*`: for what is seen through mirrors and glass."""
 
     time_s: float
     cpu_s: float

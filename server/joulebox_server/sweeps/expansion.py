@@ -127,7 +127,7 @@ def plan_jobs(
 
 
 def metered_configurations(definition: SweepDefinition, measured: list[Configuration]) -> set[int]:
-    """Positions of the configurations whose joules are measured; with `meter = "few"` those least alike, with "none" none.
+    """Positions of the configurations whose joules are measured; with `meter = "few"` those least alike.
 
     Each next one is the farthest from all before, settings taken by their rank: stage powers are fitted on what
     differs most. At least two, so that there is something to fit.

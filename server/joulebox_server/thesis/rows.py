@@ -56,8 +56,13 @@ class Row:
     delta_sha256: str | None
     pixel_sha256: str | None
     photons: Mapping[str, Any]
-    energy_low_j: float | None = None
-    energy_high_j: float | None = None
+    samples_sha256: str | None = None
+
+    @classmethod
+    def from_json(cls, told: Mapping[str, Any]) -> "Row":
+        """The row that `dataclasses.asdict` made plain. Raises KeyError, TypeError for another thing."""
+        stages = {name: Cost(**cost) for name, cost in told["stages"].items()}
+        return cls(**{**told, "image": Cost(**told["image"]), "stages": stages})
 
     @property
     def pixels(self) -> int:
