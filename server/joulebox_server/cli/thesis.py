@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -15,6 +15,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from joulebox_server.cli.connection import JsonOption, TokenOption, WrongUseError, connect
 from joulebox_server.cli.output import print_json
+
+if TYPE_CHECKING:
+    from joulebox_server.thesis.batch import Batch
+    from joulebox_server.thesis.study import Study
 
 MOST_AGENTS = 8
 
@@ -63,8 +67,10 @@ def thesis(
         typer.echo(written.summary())
 
 
-def _run(study: "Study", chosen: "list[Batch]", token: str | None, scenes: Path | None, *, quiet: bool) -> None:  # noqa: F821
-    from joulebox_server.thesis.local import Local, energy_source
+def _run(study: "Study", chosen: "list[Batch]", token: str | None, scenes: Path | None, *, quiet: bool) -> None:
+    from joulebox_server.thesis import discharge
+    from joulebox_server.thesis.local import Local, agent_program, energy_source
+    from joulebox_server.thesis.pages import tiles_of
     from joulebox_server.thesis.study import Follower, scene_folder
 
     folder = scene_folder(scenes)
@@ -74,13 +80,23 @@ def _run(study: "Study", chosen: "list[Batch]", token: str | None, scenes: Path 
             connection, check = connect(study.server, token), lambda: None
         else:
             source = None if study.quick else energy_source()
-            agents = min(MOST_AGENTS, len(os.sched_getaffinity(0))) if study.quick else 1
+            agents = min(MOST_AGENTS, _cores()) if study.quick else 1
             if not study.quick and source is None:
                 typer.echo("This machine can measure no energy now, so the study rests on time.", err=True)
             local = stack.enter_context(Local(study.folder, agents, "auto" if source else "none"))
             connection, check = local.connection, local.check
-            study.keep_discharge(folder, source)
         study.run(chosen, connection, folder, Follower(show, check))
+        if study.results().basis == "measured":
+            discharge.keep_measured(study.folder, connection, study.rows())
+        elif study.results().discharge is None:
+            discharge.keep_replayed(study.folder, agent_program(), folder / "cornell-boxes")
+        tiles = tiles_of(study.results(), chosen)
+        study.keep_pictures(connection, [tile.image_sha256 for tile in tiles])
+
+
+def _cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @contextmanager

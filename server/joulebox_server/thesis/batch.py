@@ -108,6 +108,16 @@ class Figure:
 
 
 @dataclass(frozen=True)
+class Rated:
+    """Settings that a sweep rates: of the thesis' table, by the points that differ from the reference in one alone."""
+
+    table: str
+    sweep: str
+    scene: str
+    settings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Batch:
     """A part of the study.
 
@@ -123,3 +133,4 @@ class Batch:
     figures: tuple[Figure, ...]
     claims: tuple[Claim, ...]
     advice: Callable[[Results], list[str]] = field(default=lambda results: [])
+    rated: tuple[Rated, ...] = ()

@@ -15,7 +15,8 @@ def sweeps(plan: Plan) -> list[Sweep]:
     """One sweep, one setting at a time about the reference, for both scenes."""
     base: dict[str, Any] = {**THESIS, "indirect": "direct_visualization", "caustics": False, "global_photons": REFERENCE_PHOTONS,
             "gather_distance_m": DISTANCE_M, "gather_count": COUNT, "width": 256, "height": 256}  # fmt: skip
-    changes: list[dict[str, Any]] = [{}, *({"global_photons": count} for count in [*PHOTONS, 500_000])]
+    changes: list[dict[str, Any]] = [{}]
+    changes += [{"global_photons": count} for count in [*PHOTONS, 500_000]]
     changes += [{"gather_distance_m": factor * DISTANCE_M} for factor in (0.5, 0.75, 1.5, 2.0, 3.0)]
     changes += [{"gather_count": count} for count in (50, 150, 200, 250)]
     preset = base.pop("preset")

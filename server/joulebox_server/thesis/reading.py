@@ -21,7 +21,7 @@ def read_row(sweep: str, told: Mapping[str, Any]) -> Row:
         settings=document.settings,
         repeat=told["repeat"],
         seed=told["seed"],
-        image=Cost(document.time_s_per_image.value, document.cpu_s_per_image.value, gross and gross.value),
+        image=Cost(document.time_s_per_image.value, document.cpu_s_per_image.value, gross.value if gross else None),
         stages=thesis_stages(document.stages),
         quality=document.quality if gross else "none",
         difference=told["difference"],
@@ -41,9 +41,7 @@ def thesis_stages(stages: Mapping[str, Stage]) -> dict[str, Cost]:
         energy_j, cpu_s = stage.energy_j.equation_2, stage.cpu_s or 0.0
         share = stage.specular_time_s / stage.time_s if stage.time_s > 0 else 0.0
         seen = Cost(stage.specular_time_s, stage.specular_cpu_s, None if energy_j is None else energy_j * share)
-        own = Cost(
-            stage.time_s - seen.time_s, cpu_s - seen.cpu_s, None if energy_j is None else energy_j * (1 - share)
-        )
+        own = Cost(stage.time_s - seen.time_s, cpu_s - seen.cpu_s, None if energy_j is None else energy_j * (1 - share))
         booked.setdefault("photon_map" if name == "precomputed_irradiance" else name, []).append(own)
         if share > 0:
             booked.setdefault("direct", []).append(seen)

@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Any
 
 from joulebox_server.analysis.intervals import Interval
+from joulebox_server.thesis.discharge import Discharge
 from joulebox_server.thesis.rows import CostBasis, Purpose, Row, configuration_key
 from joulebox_server.thesis.scatter import Scatters, interval_of
 
@@ -63,6 +64,7 @@ class Results:
     rows: tuple[Row, ...]
     basis: CostBasis
     quick: bool
+    discharge: Discharge | None = None
 
     @property
     def unit(self) -> str:

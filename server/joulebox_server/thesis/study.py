@@ -12,8 +12,10 @@ from typing import Any
 from joulebox_server.cli.connection import CommandError, Connection, UnreachableError, WrongUseError, checked
 from joulebox_server.cli.sweep_file import SCENE_FILE, send_scenes
 from joulebox_server.store.ids import canonical, sha256_text
+from joulebox_server.thesis import discharge
 from joulebox_server.thesis.batch import Batch, Plan, Sweep
 from joulebox_server.thesis.reading import read_row
+from joulebox_server.thesis.results import Results
 from joulebox_server.thesis.rows import CostBasis, Row
 
 STUDY_FILE, ROWS_FILE = "study.json", "rows.ndjson"
@@ -133,6 +135,25 @@ class Study:
             kept += [read_row(name, json.loads(line)) for line in lines]
         _write(self.folder / ROWS_FILE, "".join(json.dumps(asdict(row)) + "\n" for row in kept))
 
+    @property
+    def pictures(self) -> Path:
+        """The folder of the pictures that figures show, by hash."""
+        return self.folder / "pictures"
+
+    def keep_pictures(self, connection: Connection, wanted: Sequence[str]) -> None:
+        """Fetch pictures by their hashes, those that are not here yet."""
+        self.pictures.mkdir(exist_ok=True)
+        for sha256 in dict.fromkeys(wanted):
+            path = self.pictures / f"{sha256}.png"
+            if not path.is_file():
+                answer = connection.request("GET", f"/images/{sha256}.png", params={"exposure": EXPOSURE})
+                path.write_bytes(answer.content)
+
+    def results(self) -> Results:
+        """Everything measured so far, with the discharge."""
+        rows = self.rows()
+        return Results(tuple(rows), basis_of(rows), self.quick, discharge.read(self.folder))
+
     def rows(self) -> list[Row]:
         """Rows kept so far."""
         path = self.folder / ROWS_FILE
@@ -140,7 +161,9 @@ class Study:
             lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
             return [Row.from_json(json.loads(line)) for line in lines]
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise CommandError(f"{path} cannot be read: {error}; run the study again, it keeps what it measured") from None
+            raise CommandError(
+                f"{path} cannot be read: {error}; run the study again, it keeps what it measured"
+            ) from None
 
 
 def basis_of(rows: Sequence[Row]) -> CostBasis:
