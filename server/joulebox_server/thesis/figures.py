@@ -44,6 +44,7 @@ def lines(
     log_x: bool = False,
     log_y: bool = False,
     levels: Mapping[str, float] | None = None,
+    from_zero: bool = True,
 ) -> Spec | None:
     """Lines through points with their intervals, one a series, and horizontal levels with their words.
 
@@ -65,7 +66,7 @@ def lines(
     if len(present) > 1:
         scale = alt.Scale(domain=present, range=[palette.CATEGORIES[k % 8] for k in range(len(present))])
         colour = alt.Color("series:N", title=series or None, scale=scale, sort=present)
-    y_scale = _scale(log_y)
+    y_scale = _scale(log_y) if from_zero else alt.Scale(zero=False)
     base = data(list(rows))
     told = [alt.Tooltip("series:N"), alt.Tooltip("x", title=x), alt.Tooltip("y:Q", title=y, format=",.4~r")]
     parts = [
@@ -178,3 +179,8 @@ def _scale(log: bool) -> Any:
 
 def _tiny(rows: Sequence[Row]) -> bool:
     return bool(rows) and max(abs(row["y"]) for row in rows) < 0.01
+
+
+def short(given: Any) -> str:
+    """A value of a setting for a label: 50,000, 0.02, a word as it is."""
+    return f"{given:,g}" if isinstance(given, int | float) and not isinstance(given, bool) else str(given)

@@ -112,6 +112,13 @@ class Results:
         return Scatters.learnt(self.rows, self.basis)
 
 
+def compared(point: Point) -> Interval:
+    """Its difference. Raises MissingError where its picture was not compared."""
+    if point.difference is None:
+        raise MissingError(f"a picture of {point.scene} was not compared")
+    return point.difference
+
+
 class MissingError(Exception):
     """The results lack a point that a figure or a claim needs: it cannot be judged."""
 

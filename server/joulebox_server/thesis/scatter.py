@@ -16,6 +16,8 @@ from joulebox_server.analysis.scatter import factor
 from joulebox_server.thesis.rows import CostBasis, Row, configuration_key
 
 CONFIDENCE = 0.95
+SEEDS = "-seeds"
+"""End of the names of sweeps that render a few ordinary settings with several seeds."""
 SMALLEST_STAGE = 0.02
 """Share of an image's cost from which on a stage's scatter counts: a clock's grain is most of smaller ones."""
 
@@ -44,15 +46,17 @@ class Scatters:
     def learnt(cls, rows: Iterable[Row], basis: CostBasis) -> "Scatters":
         """From everything in a run that was rendered more than once."""
         alike = _alike(rows)
-        costs = [[row.image.on(basis) for row in group] for group in alike]
+        again = [g for g in alike if any(row.purpose == "control" for row in g)]
+        costs = [[row.image.on(basis) for row in group] for group in again]
         stages = [
             [row.stages[name].on(basis) for row in group if name in row.stages]
-            for group in alike
+            for group in again
             for name in {name for row in group for name in row.stages}
             if sum(row.stages[name].on(basis) for row in group if name in row.stages)
             > SMALLEST_STAGE * sum(row.image.on(basis) for row in group)
         ]
-        differences = [[row.difference for row in g if row.difference and row.purpose == "measure"] for g in alike]
+        seeds = [[row for row in group if row.sweep.endswith(SEEDS)] for group in alike]
+        differences = [[row.difference for row in g if row.difference and row.purpose == "measure"] for g in seeds]
         return cls(_pooled(costs), _pooled(stages), _pooled(differences))
 
 

@@ -122,8 +122,10 @@ class Study:
         }
         settings = ({"threads": 1} if self.quick else {}) | sweep.get("settings", {})
         reference = {"seed_policy": "same"} | sweep.get("reference", {})
+        reference["settings"] = {name: v for name, v in reference["settings"].items() if name != "preset"}
+        preset = settings.pop("preset", None)
         devices = {} if self.device is None else {"devices": [self.device]}
-        return same | sweep | {"settings": settings, "reference": reference} | devices
+        return same | sweep | {"settings": settings, "reference": reference, "preset": preset} | devices
 
     # --- rows ----------------------------------------------------------------------------------------------
 
