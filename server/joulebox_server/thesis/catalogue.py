@@ -4,10 +4,17 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 
 from joulebox_server.cli.connection import WrongUseError
-from joulebox_server.thesis import dv
+from joulebox_server.thesis import caustics, direct, dv, fg, polygons, resolution
 from joulebox_server.thesis.batch import Batch
 
-BATCHES: tuple[Batch, ...] = (dv.BATCH,)
+BATCHES: tuple[Batch, ...] = (
+    fg.BATCH,
+    dv.BATCH,
+    caustics.BATCH,
+    polygons.BATCH,
+    resolution.BATCH,
+    direct.BATCH,
+)
 
 
 def chosen(names: Sequence[str] | None) -> list[Batch]:

@@ -11,6 +11,9 @@ from joulebox_server.thesis.discharge import Discharge
 from joulebox_server.thesis.rows import CostBasis, Purpose, Row, configuration_key
 from joulebox_server.thesis.scatter import Scatters, interval_of
 
+NOMINAL_PIXELS = 256 * 256
+"""Of the pictures that the acceptable difference of 100 is stated for."""
+
 
 @dataclass(frozen=True)
 class Point:
@@ -72,15 +75,20 @@ class Results:
         return "CPU s" if self.basis == "time" else "J"
 
     def points(
-        self, sweep: str, scene: str | None = None, purpose: Purpose = "measure", **settings: Any
+        self,
+        sweep: str,
+        scene: str | None = None,
+        purpose: Purpose | tuple[Purpose, ...] = "measure",
+        **settings: Any,
     ) -> list[Point]:
         """Points of a sweep whose settings are these; a tuple of values takes any of them.
 
         scene      a label, or the beginning of one
         """
+        purposes = (purpose,) if isinstance(purpose, str) else purpose
         groups: dict[tuple[str, str], list[Row]] = {}
         for row in self.rows:
-            if row.sweep == sweep and row.purpose == purpose and _fits(row, scene, settings):
+            if row.sweep == sweep and row.purpose in purposes and _fits(row, scene, settings):
                 groups.setdefault((row.scene, configuration_key(row.settings)), []).append(row)
         scatters = self.scatters
         return [Point(tuple(group), self.basis, scatters) for group in groups.values()]
@@ -117,6 +125,18 @@ def compared(point: Point) -> Interval:
     if point.difference is None:
         raise MissingError(f"a picture of {point.scene} was not compared")
     return point.difference
+
+
+def at_256(point: Point) -> Interval:
+    """Its difference scaled to 256x256 pixels. Raises MissingError where its picture was not compared."""
+    return compared(point).scaled(NOMINAL_PIXELS / point.pixels)
+
+
+def only(points: Sequence[Point]) -> Point:
+    """The one point. Raises MissingError for none or several."""
+    if len(points) != 1:
+        raise MissingError(f"{len(points)} points fit where one is needed")
+    return points[0]
 
 
 class MissingError(Exception):
