@@ -12,6 +12,7 @@ from joulebox_server.cli.recommend import recommend
 from joulebox_server.cli.recompute import recompute
 from joulebox_server.cli.report import report
 from joulebox_server.cli.serve import serve
+from joulebox_server.cli.thesis import thesis
 from joulebox_server.errors import InvalidError, ServerError
 
 FAILED, WRONG_USE, INTERRUPTED = 1, 2, 130
@@ -46,6 +47,7 @@ def build() -> typer.Typer:
         data.gc,
         diff,
         recompute,
+        thesis,
     ):
         app.command()(command)
     app.add_typer(sweep.app, name="sweep")
