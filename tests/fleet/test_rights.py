@@ -46,6 +46,7 @@ RIGHTS: dict[str, tuple[set[str], dict[str, Any]]] = {
     "GET /v1/blobs/{sha256}": (ALL, {}),
     "PUT /v1/blobs/{sha256}": (SEND, {"content": b"other bytes"}),
     "GET /v1/results": (READ, {}),
+    "GET /v1/sweeps/{sweep}/measurements": (READ, {}),
     "GET /v1/sweeps/{sweep}/tradeoff": (READ, {}),
     "GET /v1/sweeps/{sweep}/recommendation": (READ, {}),
     "GET /v1/sweeps/{sweep}/charts/tradeoff.{form}": (READ, {}),
