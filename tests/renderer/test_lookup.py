@@ -51,9 +51,7 @@ def looked_up(records: IrradianceRecords, at: Any, normal: Any) -> tuple[Any, An
     fast = np.empty((len(at), 3), np.float32)
     rest = (at, normals, records.reach_m, COS_LIMIT, Scratch.empty(1))
     unsure, row = np.empty(len(at), np.uint8), np.empty(len(at), np.int32)
-    met = look_up_irradiance(
-        records.table, records.tree, records.irradiance, records.doubtful, *rest, fast, unsure
-    )
+    met = look_up_irradiance(records.table, records.tree, records.irradiance, records.doubtful, *rest, fast, unsure)
     nearest_records(records.tree, *rest, row)
     exact = np.where(row[:, None] >= 0, records.irradiance[row], np.float32(0))
     return fast, exact, met
