@@ -90,7 +90,8 @@ def stages_chart(tradeoff: Tradeoff, unit: Axis | None = None, chosen: str | Non
 def trace_chart(tradeoff: Tradeoff, label: str, trace: Trace) -> Spec:
     """Power against time while one configuration was measured. Raises AnalysisError without any power."""
     chart = trace_layers(trace).properties(height=TRACE_HEIGHT)
-    return _finish(chart, tradeoff, f"{label}{quality_suffix(tradeoff.energy_quality)}; shaded: the windows that count")
+    told = f"power{quality_suffix(tradeoff.energy_quality)}; shaded: the windows that count"
+    return _finish(chart, tradeoff, [label, told])
 
 
 def _worth_a_bar(points: Sequence[Point], tradeoff: Tradeoff, chosen: str | None) -> Sequence[Point]:
@@ -120,7 +121,7 @@ def render(spec: Spec, file_format: Literal["svg", "png"], width: int = 800) -> 
     raise AnalysisError(f"the format is {file_format}, it must be svg or png")
 
 
-def _finish(chart: Any, tradeoff: Tradeoff, subtitle: str) -> Spec:
+def _finish(chart: Any, tradeoff: Tradeoff, subtitle: str | list[str]) -> Spec:
     """The specification, with title, width and the shared configuration."""
     chart = chart.properties(
         width="container",

@@ -229,6 +229,8 @@ def _told(point: Point, names: Sequence[str]) -> Row:
         "energy": spread(point.energy_j, "J") + ("" if point.quality == "measured" else f", {point.quality}"),
         "time": spread(point.time_s, "s"),
         "difference": spread(point.difference, ""),
+        "energy_j_value": point.energy_j.value if point.energy_j else None,
+        "time_s_value": point.time_s.value,
         "repeats": point.repeats,
         "fragile": point.fragile,
         **{SETTING_PREFIX + name: point.settings.get(name) for name in names},
