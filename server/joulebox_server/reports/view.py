@@ -98,7 +98,7 @@ def _tradeoff_chart(tradeoff: Tradeoff, name: str) -> Block:
         f"Trade-off chart of {tradeoff.scene} on {tradeoff.device}: {len(compared)} configurations, "
         f"{within} within the limit {figure(tradeoff.limit)}, {len(front)} on the front."
     )
-    return Chart(f"{name}-tradeoff", charts.tradeoff_chart(tradeoff, x=tradeoff.main_axis), caption, alt)
+    return Chart(f"{name}-tradeoff", charts.tradeoff_chart(tradeoff, charts.View(x=tradeoff.main_axis)), caption, alt)
 
 
 def _stages_chart(tradeoff: Tradeoff, name: str) -> Block:
