@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from joulebox_server.analysis import charts
 from joulebox_server.analysis.documents import Choice, Point, Rating, Recommendation, Step, Tradeoff
-from joulebox_server.analysis.frame import spread
+from joulebox_server.analysis.frame import View, spread
 from joulebox_server.analysis.words import figure, setting, share
 from joulebox_server.reports.document import Block, Chart, Facts, Fold, Picture, Pictures, Points, Section, Table, Words
 from joulebox_server.reports.gathering import Compared, View
@@ -98,7 +98,7 @@ def _tradeoff_chart(tradeoff: Tradeoff, name: str) -> Block:
         f"Trade-off chart of {tradeoff.scene} on {tradeoff.device}: {len(compared)} configurations, "
         f"{within} within the limit {figure(tradeoff.limit)}, {len(front)} on the front."
     )
-    return Chart(f"{name}-tradeoff", charts.tradeoff_chart(tradeoff, charts.View(x=tradeoff.main_axis)), caption, alt)
+    return Chart(f"{name}-tradeoff", charts.tradeoff_chart(tradeoff, View(x=tradeoff.main_axis)), caption, alt)
 
 
 def _stages_chart(tradeoff: Tradeoff, name: str) -> Block:
