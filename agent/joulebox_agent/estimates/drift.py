@@ -115,7 +115,7 @@ def _posterior(grid: _Grid, design: Floats, values: Floats) -> _Posterior:
     """Weighs the models by their likelihood with the coefficients and the white variance integrated out."""
     freedom = design.shape[0] - design.shape[1]
     weighted = design.T @ grid.inverses  # (m, p, n)
-    unscaled: Floats = np.linalg.inv(weighted @ design)
+    unscaled = np.asarray(np.linalg.inv(weighted @ design), dtype=np.float64)
     means = (unscaled @ (weighted @ values)[:, :, None])[:, :, 0]
     rests = values - means @ design.T
     floor = 1e-12 * float(values @ values) + 1e-300  # values that fit exactly have errors all the same
