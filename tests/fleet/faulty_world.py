@@ -25,6 +25,7 @@ import uvicorn
 from joulebox_agent.errors import ServerRefusedError, ServerUnreachableError
 from joulebox_agent.fleet import spool as agent_spool
 from joulebox_agent.fleet.delivery import Delivery
+from joulebox_agent.fleet.journal import Journal
 from joulebox_agent.fleet.server import Server as Client
 from joulebox_agent.fleet.spool import Entry, Spool
 from joulebox_server.app import create_app
@@ -126,7 +127,7 @@ def measure_and_deliver(url: str, device: Device, state: Path, ledger: Path, fau
 
     agent_spool.write_whole = hurried
     client = Client(url, device.token, timeout_s=5, quick_wait_s=0.01)
-    delivery = Delivery(Spool(state), client, lambda _: None)
+    delivery = Delivery(Spool(state), client, Journal(lambda record: None))
     delivery.spool.sweep()
     while True:
         try:

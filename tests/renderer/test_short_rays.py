@@ -78,9 +78,7 @@ def test_a_corner_is_as_bright_as_paths_say(make_scene: Make, open_session: Open
     assert abs(ours.mean() / theirs.mean() - 1) < 0.04
 
 
-def test_a_thin_wall_leaks_less(
-    make_scene: Make, open_session: Open, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_thin_wall_leaks_less(make_scene: Make, open_session: Open, monkeypatch: pytest.MonkeyPatch) -> None:
     """Behind an endless thin wall it is dark; photons of the lit floor reach under it into the map's discs.
 
     At the wall's foot the rays that would meet them are short.

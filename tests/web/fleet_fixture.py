@@ -24,6 +24,7 @@ import uvicorn
 from joulebox_server.app import create_app
 from joulebox_server.settings import ServerSettings
 from joulebox_server.store import tokens
+from stored import restore
 
 SIDE = 64
 SCHEMA: dict[str, Any] = {
@@ -222,6 +223,20 @@ class Fleet:
     operator: dict[str, str]
     viewer_token: str
 
+    @property
+    def operator_token(self) -> str:
+        return self.operator["Authorization"].removeprefix("Bearer ")
+
+    def sweep_id(self, name: str) -> str:
+        return str(self.get(f"/v1/sweeps/{name}")["id"])
+
+    def points(self, sweep: str) -> list[dict[str, Any]]:
+        found: list[dict[str, Any]] = self.get(f"/v1/sweeps/{sweep}/tradeoff")["points"]
+        return found
+
+    def get(self, path: str) -> Any:
+        return _good(self.client.get(path, headers=self.operator)).json()
+
     def add_scene(self, name: str = "box") -> None:
         out = io.BytesIO()
         with zipfile.ZipFile(out, "w") as bundle:
@@ -248,9 +263,11 @@ class Fleet:
 
 
 @contextmanager
-def running_fleet(folder: Path, **settings: Any) -> Iterator[Fleet]:
-    """The real app on a free loopback port, in a thread of this process, with an empty store."""
+def running_fleet(folder: Path, *, stored: bool = False, **settings: Any) -> Iterator[Fleet]:
+    """The real app on a free loopback port, in a thread of this process, with an empty store or the stored one."""
     given = {"release_pause_s": 0, "max_attempts": 1, **settings}
+    if stored:
+        restore(folder, folder / "data")
     with ThreadPoolExecutor(1) as executor:
         app = create_app(ServerSettings(data_dir=folder / "data", **given), executor)
         config = uvicorn.Config(app, port=0, log_level="warning", timeout_graceful_shutdown=1)

@@ -8,11 +8,16 @@ from joulebox_agent.loop import ImageEvent, StageEvent
 
 @dataclass
 class StageTotals:
-    """Sums over the images of a window [s, s, count], and when the stage ran: (start_s, end_s) in order."""
+    """Sums over the images of a window [s, s, count], and when the stage ran: (start_s, end_s) in order.
+
+    specular_*  the part that went to what is seen through mirrors and glass
+    """
 
     time_s: float = 0.0
     cpu_s: float = 0.0
     rays: float = 0.0
+    specular_time_s: float = 0.0
+    specular_cpu_s: float = 0.0
     intervals: list[tuple[float, float]] = field(default_factory=list)
 
 
@@ -61,6 +66,9 @@ class Window:
             totals.time_s += stage.end_s - stage.start_s
             totals.cpu_s += stage.cpu_s
             totals.rays += stage.rays
+            if stage.through_specular:
+                totals.specular_time_s += stage.end_s - stage.start_s
+                totals.specular_cpu_s += stage.cpu_s
             totals.intervals.append((stage.start_s, stage.end_s))
 
 

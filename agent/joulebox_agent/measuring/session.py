@@ -235,7 +235,8 @@ class Session:
         record = self.records[index]
         if self._rule.meter:
             done, wanted = len(record.windows), self._wanted[index]
-            record.note(f"the limit of {self._rule.max_seconds:g} s ended it after {done} of {wanted} windows")
+            why = "a stop of the agent" if self._meter.leaving() else f"the limit of {self._rule.max_seconds:g} s"
+            record.note(f"{why} ended it after {done} of {wanted} windows")
 
     def _trouble_ends_it(self) -> bool:
         """Whether the source is gone for good: what is incomplete is void, what is complete stays.

@@ -60,6 +60,8 @@ def stage_records(evidence: StageEvidence) -> dict[str, StageRecord]:
                 integrated=whole[0] if whole else None,
                 regressed=regressed.value if regressed else None,
             ),
+            specular_time_s=sum(t.specular_time_s for t in totals) / images,
+            specular_cpu_s=sum(t.specular_cpu_s for t in totals) / images,
             energy_intervals_j=intervals if any((intervals.equation_2, intervals.integrated, regressed)) else None,
         )
     return stages

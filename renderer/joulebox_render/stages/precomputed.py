@@ -14,9 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from joulebox_render.kernels.lookup import (
+    ALWAYS,
     CELLS_A_SIDE,
     FEELERS,
+    FROM_AFAR,
     LATTICE,
+    NEVER,
     NO_CELL,
     aim_feelers,
     answer_rays,
@@ -25,7 +28,7 @@ from joulebox_render.kernels.lookup import (
     nearest_records,
 )
 from joulebox_render.kernels.rng import path_key
-from joulebox_render.records import F4, F8, I4, I8, U1, U8, Estimates, Hits, Points, Rays, Scratch, Tree
+from joulebox_render.records import F4, F8, I4, I8, U1, U8, Estimates, Hits, Points, Rays, Scratch, Tree, rows
 from joulebox_render.stages.context import Context
 from joulebox_render.stages.density import (
     FEW_WITNESSES_STEP,
@@ -94,14 +97,21 @@ class Illumination:
     def resolution_m(self) -> float:
         return self.estimate.reach_m
 
-    def answer(self, context: Context, rays: Rays, hits: Hits, radiance: F8) -> I4:
-        """Add what rays (N) bring from where the table is sure, to radiance (owners, 3) f8; the rows of all others.
+    @property
+    def has_table(self) -> bool:
+        return self.records is not None and len(self.records.table.key) > 1
 
-        Nearly all rays of a diffuse scene end there: what is known of them need not be written down and read again.
+    def answer(self, context: Context, rays: Rays, hits: Hits, radiance: F8) -> tuple[Points, I4]:
+        """Add what rays (N) bring from where the table may be trusted, to radiance (owners, 3) f8.
+
+        Returns the diffuse points where it may not, and the rows of rays that end at other surfaces.
         """
         assert self.records is not None
-        rest = np.empty(len(rays.owner), np.int32)
-        return rest[: answer_rays(context.tables, self.records.table, self.resolution_m, rays, hits, radiance, rest)]
+        near, rest = Points.empty(len(rays.owner)), np.empty(len(rays.owner), np.int32)
+        near_count, rest_count = answer_rays(
+            context.tables, self.records.table, self.resolution_m, rays, hits, radiance, near, rest
+        )
+        return Points(*rows(near, slice(0, near_count))), rest[:rest_count]
 
     def look_up(self, points: Points) -> tuple[F4, U1]:
         """Irradiance (N, 3) f4 that the records know, or a density estimate where none are kept; and where it cannot
@@ -142,7 +152,7 @@ def precompute_irradiance(context: Context, photons: PhotonMap) -> IrradianceRec
 
     parts = list(context.pool.map_chunks(chunk, len(position), RAYS_PER_ESTIMATE))
     estimates = Estimates(*map(np.concatenate, zip(*parts, strict=True))) if parts else Estimates.empty(0)
-    tree, order = grow_tree(position, normal)
+    tree, order = grow_tree(position, normal, context.pool)
     records = IrradianceRecords(
         tree, np.ascontiguousarray(estimates.irradiance[order]), np.ascontiguousarray(doubtful[order]),
         estimate.reach_m * math.sqrt(step), empty_table(),
@@ -169,7 +179,7 @@ def other_photons(context: Context, photons: PhotonMap, chosen: npt.NDArray[np.b
     if step == 1:
         return estimate
     others = ~chosen
-    tree, order = grow_tree(photons.tree.position[others], photons.tree.normal[others])
+    tree, order = grow_tree(photons.tree.position[others], photons.tree.normal[others], context.pool)
     flux = photons.flux[others][order] * np.float32(step / (step - 1))
     wi, history, rank = (
         np.ascontiguousarray(column[others][order]) for column in (photons.wi, photons.history, photons.rank)
@@ -233,8 +243,10 @@ def tabulate(
             tree, row, place[first:last], facing[first:last], max(lift_m, FEELER_LIFT * edge_m), edge_m,
             origin, direction, limit,
         )  # fmt: skip
-        blocked = context.intersector.occluded(origin, direction, limit).reshape(-1, FEELERS)
-        table.light[slots[first:last], 3] = ~blocked.any(axis=1) & (row >= 0) & (records.doubtful[row] == 0)
+        blocked = context.intersector.occluded(origin, direction, limit).reshape(-1, FEELERS).astype(bool)
+        known = (row >= 0) & (records.doubtful[row] == 0) & ~blocked[:, 0]
+        beside = np.where(blocked[:, 1:].any(axis=1), FROM_AFAR, ALWAYS)
+        table.light[slots[first:last], 3] = np.where(known, beside, NEVER)
 
     list(context.pool.map_chunks(chunk, cells, RAYS_PER_LOOK_UP + FEELERS))
     return table
