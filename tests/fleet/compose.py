@@ -266,7 +266,7 @@ def complete_a_sweep(place: Containers | Processes) -> list[str]:
 
     def joined() -> bool:
         devices = json.loads(place.ask("server", "joulebox device list --json"))["items"]
-        return sorted(device["name"] for device in devices if device["renderer"]) == AGENTS
+        return sorted(device["name"] for device in devices if device["capabilities"]) == AGENTS
 
     def answering() -> bool:
         try:
@@ -282,7 +282,7 @@ def complete_a_sweep(place: Containers | Processes) -> list[str]:
     watched = place.ask("server", f"joulebox sweep watch {sweep['id']} --timeout {PATIENCE_S} --json || true")
     state = json.loads(watched)
     say(f"sweep is {state['state']}: {state['jobs']}")
-    results = json.loads(place.ask("server", "joulebox export --format json"))["items"]
+    results = [json.loads(line) for line in place.ask("server", "joulebox export --format ndjson").splitlines()]
     by_device = Counter(result["device"] for result in results)
     say(f"results of each device: {dict(by_device)}; kinds: {dict(Counter(r['quality'] for r in results))}")
     healthy = place.healthy()

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
+import stamina.instrumentation
 import uvicorn
 from joulebox_agent.errors import ServerRefusedError, ServerUnreachableError
 from joulebox_agent.fleet import spool as agent_spool
@@ -126,6 +127,7 @@ def measure_and_deliver(url: str, device: Device, state: Path, ledger: Path, fau
         write(path, content)
 
     agent_spool.write_whole = hurried
+    stamina.instrumentation.set_on_retry_hooks([])
     client = Client(url, device.token, timeout_s=5, quick_wait_s=0.01)
     delivery = Delivery(Spool(state), client, Journal(lambda record: None))
     delivery.spool.sweep()
