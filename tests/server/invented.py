@@ -22,7 +22,7 @@ def invented(batch: Batch, cost: World, difference: World, noise: float = 0.002,
     difference   to the reference, of the same; 0 for the reference's own settings
     noise        control runs and seeds are alternately this much (of a logarithm) above and below
     """
-    study = Study(None, "", True, None, None)  # type: ignore[arg-type]
+    study = Study(None, "", True, None, None, False)  # type: ignore[arg-type]
     rows = [
         row
         for sweep in batch.sweeps(Plan(quick=True))
