@@ -128,8 +128,8 @@ def test_one_render_has_the_scatter_of_the_run_and_three_have_their_own():
     one = interval_of([10.0], spread)
     assert one.high / 10 == pytest.approx(10 / one.low) == pytest.approx(spread.bounds(1))
     three = interval_of([9.0, 10.0, 11.0], spread)
-    # Student's t of 2 degrees, 4.3027, times 1 / sqrt(3)
-    assert (three.value, three.high) == (10.0, pytest.approx(10 + 4.3027 / 3**0.5, rel=1e-4))
+    # Student's t of 2 degrees at 99 %, 9.9248, times 1 / sqrt(3)
+    assert (three.value, three.high) == (10.0, pytest.approx(10 + 9.9248 / 3**0.5, rel=1e-4))
     assert interval_of([10.0], None).low == 10.0
 
 
