@@ -59,7 +59,7 @@ def _beyond(results: Results, name: str, words: str) -> Finding:
         return finding(
             mean, "holds", f"{words}: all of {one.stability.seeds} seeds are beyond {figure(one.limit)}; mean"
         )
-    verdict = "fails" if mean.high <= one.limit else "unclear"
+    verdict: Verdict = "fails" if mean.high <= one.limit else "unclear"
     beyond = share(one.stability.share_beyond)
     return finding(mean, verdict, f"{words}: {beyond} of the seeds are beyond {figure(one.limit)}; mean")
 
