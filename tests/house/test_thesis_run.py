@@ -83,7 +83,9 @@ def test_a_server_that_dies_is_a_sentence(root: Path, tmp_path: Path) -> None:
     def kill_it(done: int, total: int, doing: str) -> None:
         os.kill(json.loads((tmp_path / "out/server/server.json").read_text())["pid"], signal.SIGKILL)
 
-    with pytest.raises(Exception, match=r"the server ended with exit code -9; the last line of its log .+ run the same"):
+    with pytest.raises(
+        Exception, match=r"the server ended with exit code -9; the last line of its log .+ run the same"
+    ):
         run(tmp_path / "out", root / "scenes", kill_it)
 
 
@@ -103,7 +105,9 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path: Path, content: str, 
 
 def test_a_study_goes_on_as_it_began(tmp_path: Path) -> None:
     first = Study.opened(tmp_path / "out", quick=True, server=None, device=None)
-    assert Study.opened(tmp_path / "out", quick=True, server=None, device=None) == first == Study.found(tmp_path / "out")
+    assert (
+        Study.opened(tmp_path / "out", quick=True, server=None, device=None) == first == Study.found(tmp_path / "out")
+    )
     with pytest.raises(WrongUseError, match="was started with --quick; go on with the same"):
         Study.opened(tmp_path / "out", quick=False, server=None, device=None)
     with pytest.raises(WrongUseError, match="was started without --server; go on"):

@@ -68,7 +68,7 @@ def lines(
         colour = alt.Color("series:N", title=series or None, scale=scale, sort=present)
     y_scale = _scale(log_y) if from_zero else alt.Scale(zero=False)
     base = data(list(rows))
-    told = [alt.Tooltip("series:N"), alt.Tooltip("x", title=x), alt.Tooltip("y:Q", title=y, format=",.4~r")]
+    told = [alt.Tooltip("series:N"), alt.Tooltip(f"x:{x_kind}", title=x), alt.Tooltip("y:Q", title=y, format=",.4~r")]
     parts = [
         base.mark_rule(strokeWidth=1.4, opacity=0.7).encode(
             x=x_channel, y=alt.Y("low:Q", scale=y_scale, axis=y_axis), y2="high:Q", color=colour
