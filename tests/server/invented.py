@@ -15,27 +15,40 @@ from joulebox_server.thesis.study import Study
 World = Callable[[str, Mapping[str, Any]], Any]
 
 
-def invented(batch: Batch, cost: World, difference: World, noise: float = 0.002, basis: str = "measured") -> Results:
+def invented(
+    batch: Batch,
+    cost: World,
+    difference: World,
+    noise: float = 0.002,
+    basis: str = "measured",
+    defaults: Mapping[str, Any] | None = None,
+) -> Results:
     """Results of a quick run of a batch in a world.
 
     cost         stages by name, of a scene's label and settings
     difference   to the reference, of the same; 0 for the reference's own settings
     noise        control runs and seeds are alternately this much (of a logarithm) above and below
+    defaults     of the renderer, for settings that the sweeps do not name
     """
     study = Study(None, "", True, None, None, False)  # type: ignore[arg-type]
     rows = [
         row
         for sweep in batch.sweeps(Plan(quick=True))
-        for row in _rows(SweepDefinition.model_validate(study.definition(sweep)), cost, difference, noise)
+        for row in _rows(
+            SweepDefinition.model_validate(study.definition(sweep)), cost, difference, noise, defaults or {}
+        )
     ]
     return Results(tuple(rows), basis, quick=True)  # type: ignore[arg-type]
 
 
-def _rows(definition: SweepDefinition, cost: World, difference: World, noise: float) -> Iterable[Row]:
+def _rows(
+    definition: SweepDefinition, cost: World, difference: World, noise: float, defaults: Mapping[str, Any]
+) -> Iterable[Row]:
     measured, reference = configurations(definition), reference_configuration(definition)
     for job in plan_jobs(definition, measured, reference, "order"):
         entry = definition.scenes[job.scene]
         settings = {"caustics": True, "caustic_hints": False, "direct_photons": 10_000, "photon_spacing": 0}
+        settings |= defaults
         settings |= (reference if job.configuration == len(measured) else measured[job.configuration]).settings
         # a reference's control is not there: what is repeated is the first configuration and the seeds
         off = math.exp(noise * (-1) ** job.repeat) if job.purpose == "control" or definition.repeats > 1 else 1.0

@@ -103,16 +103,20 @@ def render(spec: Spec, file_format: Literal["svg", "png"], width: int = 800) -> 
     raise AnalysisError(f"the format is {file_format}, it must be svg or png")
 
 
-def _finish(chart: Any, tradeoff: Tradeoff, subtitle: str) -> Spec:
+def finish(chart: Any, title: str, subtitle: str) -> Spec:
     """The specification, with title, width and the shared configuration."""
     chart = chart.properties(
         width="container",
-        title=alt.TitleParams(f"{tradeoff.scene} on {tradeoff.device}", subtitle=subtitle),
+        title=alt.TitleParams(title, subtitle=subtitle),
         autosize=alt.AutoSizeParams(type="fit-x", contains="padding"),
     )
     spec: Spec = chart.to_dict()
     spec["config"] = palette.config()
     return spec
+
+
+def _finish(chart: Any, tradeoff: Tradeoff, subtitle: str) -> Spec:
+    return finish(chart, f"{tradeoff.scene} on {tradeoff.device}", subtitle)
 
 
 def _nothing_yet(tradeoff: Tradeoff, why: str) -> Spec:
