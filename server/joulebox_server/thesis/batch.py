@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from joulebox_server.analysis.intervals import Interval
+from joulebox_server.reports.document import Table
 from joulebox_server.thesis.results import Results
 
 Verdict = Literal["holds", "fails", "unclear"]
@@ -100,13 +101,13 @@ Spec = dict[str, Any]
 class Figure:
     """A figure by the thesis' number (`29`), or a name of ours (`stability-photons`).
 
-    draw      a Vega-Lite specification, or pictures side by side; None where the results lack what it shows
+    draw      a Vega-Lite specification, a table, or pictures side by side; None where the results lack what it shows
     """
 
     number: str
     title: str
     caption: str
-    draw: Callable[[Results], Spec | Sequence[Tile] | None]
+    draw: Callable[[Results], Spec | Table | Sequence[Tile] | None]
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 
 from joulebox_server.cli.connection import WrongUseError
-from joulebox_server.thesis import caustics, direct, dv, fg, polygons, resolution
+from joulebox_server.thesis import beyond, caustics, direct, dv, fg, polygons, resolution, stability
 from joulebox_server.thesis.batch import Batch
 
 BATCHES: tuple[Batch, ...] = (
@@ -14,6 +14,8 @@ BATCHES: tuple[Batch, ...] = (
     polygons.BATCH,
     resolution.BATCH,
     direct.BATCH,
+    beyond.BATCH,
+    stability.BATCH,
 )
 
 

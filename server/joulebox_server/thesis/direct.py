@@ -51,7 +51,7 @@ def _rays(results: Results) -> Finding:
     fewer = [at(results, 0, rays) for rays in RAYS if rays < 144]
     least = min((compared(point) for point in fewer), key=lambda one: one.value)
     verdict = every([between(times, low=2.0), between(least, high=limit_of(fewer[0]))])
-    return finding(times, verdict, f"the best number below 144 differs by {told(least)}; 256 cost, of 16,")
+    return finding(times, verdict, f"the best number below 144 differs by {told(least)}; direct cost of 256 over 16")
 
 
 def _saves(results: Results) -> Finding:
@@ -59,14 +59,16 @@ def _saves(results: Results) -> Finding:
     costs = [at(results, photons, 144).stage("direct") for photons in (10_000, 0)]
     whole = ratio(at(results, 10_000, 144).cost, at(results, 0, 144).cost)
     left = ratio(*costs)
-    return finding(left, between(left, high=0.5), f"the image costs {told(whole)} of one without; direct lighting")
+    return finding(
+        left, between(left, high=0.5), f"the image with the test over without {told(whole)}; direct lighting alone"
+    )
 
 
 def _picture(results: Results) -> Finding:
     points = [at(results, photons, 144) for photons in PHOTONS]
     worst = largest([compared(point) for point in points])
     verdict = every([between(compared(point), high=limit_of(point)) for point in points])
-    return finding(worst, verdict, "the largest difference is")
+    return finding(worst, verdict, "the largest difference")
 
 
 CLAIMS = claims_of("direct", {"ch8-rays": _rays, "ch8-photons": _saves, "ch8-picture": _picture})

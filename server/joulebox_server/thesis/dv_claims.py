@@ -2,6 +2,7 @@
 
 import math
 import statistics
+from typing import Any
 
 from joulebox_server.analysis.intervals import exactly
 from joulebox_server.thesis.batch import Finding
@@ -13,15 +14,29 @@ from joulebox_server.thesis.dv_points import (
     MOST_PHOTONS,
     REFERENCE_PHOTONS,
     SCENES,
-    line,
 )
-from joulebox_server.thesis.judging import between, difference, every, finding, largest, ratio, rises, smallest, told
+from joulebox_server.thesis.judging import (
+    between,
+    difference,
+    every,
+    finding,
+    largest,
+    ratio,
+    rises,
+    share,
+    smallest,
+    told,
+)
 from joulebox_server.thesis.results import MissingError, Point, Results, compared
-from joulebox_server.thesis.rows import STAGES
+
+
+def _at(results: Results, scene: str, **changed: Any) -> Point:
+    """The point with these settings, the others the reference's. Raises MissingError without it."""
+    return results.point(f"dv-{scene}", scene, **(ELSEWHERE | changed))
 
 
 def _photons(results: Results, scene: str, *counts: int) -> list[Point]:
-    return [results.point(f"dv-{scene}", scene, **(ELSEWHERE | {"global_photons": count})) for count in counts]
+    return [_at(results, scene, global_photons=count) for count in counts]
 
 
 def _steady(results: Results) -> Finding:
@@ -59,10 +74,10 @@ def _indirect_dominates(results: Results) -> Finding:
     shares, grows = [], []
     for scene in SCENES:
         own = _photons(results, scene, 50_000, 100_000, REFERENCE_PHOTONS)
-        shares.append(ratio(own[-1].stage("indirect"), own[-1].stage(*STAGES)))
+        shares.append(share(own[-1].stage("indirect"), own[-1].stage("photon_map", "direct", "caustics")))
         grows.append(rises([point.stage("indirect") for point in own]))
     least = smallest(shares)
-    words = "indirect's least share of the cost at 250k photons"
+    words = "the smaller share of indirect in the cost at 250k photons"
     return finding(least, every([between(least, low=0.5), *grows]), words)
 
 
@@ -72,7 +87,7 @@ def _map_grows(results: Results) -> Finding:
     both = [rises([point.stage("photon_map") for point in points]) for points in (boxes, spheres)]
     off = [ratio(a.stage("photon_map"), b.stage("photon_map")) for a, b in zip(boxes, spheres, strict=True)]
     worst = max(off, key=lambda one: abs(math.log(one.value)))
-    words = "the most that map creation of boxes over that of spheres is off"
+    words = "map creation of boxes over spheres, where farthest from 1"
     return finding(worst, every([*both, between(worst, 0.8, 1.25)]), words)
 
 
@@ -84,7 +99,7 @@ def _direct(results: Results) -> Finding:
     below = ratio(spheres[0].stage("direct"), boxes[0].stage("direct"))
     verdict = every([between(flat, high=1.1), rising, between(below, high=1.0)])
     words = f"boxes vary by a factor {told(flat)}, spheres {'rise' if rising == 'holds' else 'do not surely rise'}"
-    return finding(below, verdict, f"{words}, and at 50k photons spheres cost, of boxes,")
+    return finding(below, verdict, f"{words}; direct cost of spheres over boxes at 50k photons")
 
 
 def _no_trade_off(results: Results) -> Finding:
@@ -101,45 +116,46 @@ def _modest(results: Results) -> Finding:
     fewer, reference = _photons(results, BOXES, 175_000, REFERENCE_PHOTONS)
     left = ratio(fewer.cost, reference.cost)
     saved = difference(exactly(1.0), left)
-    return finding(saved, between(saved, 0.0, 0.25), "share of the cost that 175k photons save on boxes")
+    return finding(saved, between(saved, 0.0, 0.25), "share of the cost that 175k photons save, on boxes")
 
 
 def _photon_cliff(results: Results) -> Finding:
     few, some, more = (compared(point) for point in _photons(results, BOXES, 50_000, 100_000, 175_000))
     step = difference(few, some)
     verdict = every([between(step, low=1000), between(some, high=100), between(more, high=100)])
-    words = f"100k photons differ by {told(some)}, 175k by {told(more)}; 50k are worse than 100k by"
+    words = f"100k photons differ by {told(some)}, 175k by {told(more)}; 50k differ more than 100k by"
     return finding(step, verdict, words)
 
 
+def _distances(results: Results, scene: str, *factors: float) -> list[Point]:
+    return [_at(results, scene, gather_distance_m=factor * DISTANCE_M) for factor in factors]
+
+
 def _distance_costs(results: Results) -> Finding:
-    each = [[point.cost for _, point in line(results, scene, "gather_distance_m")] for scene in SCENES]
+    each = [[point.cost for point in _distances(results, scene, 0.5, 1.0, 1.5, 2.0, 3.0)] for scene in SCENES]
     most = ratio(each[0][-1], each[0][0])
-    return finding(most, every([rises(costs) for costs in each]), "on boxes 3x the distance costs, of 0.5x,")
+    return finding(most, every([rises(costs) for costs in each]), "cost at 3x the distance over 0.5x, on boxes")
 
 
 def _distance_spikes(results: Results) -> Finding:
-    found = {
-        round(value / DISTANCE_M, 2): compared(point) for value, point in line(results, BOXES, "gather_distance_m")
-    }
-    near, twice, far = found[0.5], found[2.0], found[3.0]
+    near, twice, far = (compared(point) for point in _distances(results, BOXES, 0.5, 2.0, 3.0))
     level = ratio(far, twice)
     verdict = every([between(near, low=100), between(twice, low=100), between(level, 0.75, 1.33)])
-    words = f"0.5x differs by {told(near)}, 2x by {told(twice)}; 3x differs, of 2x, by"
+    words = f"0.5x differs by {told(near)}, 2x by {told(twice)}; difference at 3x over 2x"
     return finding(level, verdict, words)
 
 
 def _count_is_cheap(results: Results) -> Finding:
-    found = dict(line(results, BOXES, "gather_count"))
-    more = ratio(found[200].cost, found[50].cost)
-    return finding(more, between(more, high=1.1), "200 photons cost, of 50 photons,")
+    few, many = (_at(results, BOXES, gather_count=count).cost for count in (50, 200))
+    more = ratio(many, few)
+    return finding(more, between(more, high=1.1), "cost of a count of 200 over 50")
 
 
 def _count_cliff(results: Results) -> Finding:
-    found = {count: compared(point) for count, point in line(results, BOXES, "gather_count")}
-    above = largest([found[150], found[200], found[250]])
-    verdict = every([between(found[50], low=100), between(above, high=5)])
-    return finding(above, verdict, f"50 photons differ by {told(found[50])}; above 100 the largest difference is")
+    few, *more = (compared(_at(results, BOXES, gather_count=count)) for count in (50, 150, 200, 250))
+    above = largest(more)
+    verdict = every([between(few, low=100), between(above, high=5)])
+    return finding(above, verdict, f"50 differs by {told(few)}; the largest difference above 100")
 
 
 CLAIMS = claims_of(

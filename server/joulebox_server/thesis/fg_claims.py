@@ -7,18 +7,17 @@ from joulebox_server.analysis.intervals import Interval, exactly
 from joulebox_server.thesis.batch import Finding, Verdict
 from joulebox_server.thesis.claims import claims_of
 from joulebox_server.thesis.fg_points import FEWER_PHOTONS, REFERENCE_PHOTONS, at
-from joulebox_server.thesis.judging import between, difference, every, finding, largest, ratio, smallest, told
+from joulebox_server.thesis.judging import between, difference, every, finding, largest, ratio, share, smallest, told
 from joulebox_server.thesis.results import Point, Results, at_256
-from joulebox_server.thesis.rows import STAGES
 
 
 def _both_stages(results: Results) -> Finding:
     shares = [
-        ratio(point.stage("direct", "indirect"), point.stage(*STAGES))
+        share(point.stage("direct", "indirect"), point.stage("photon_map", "caustics"))
         for point in (at(results), at(results, global_photons=FEWER_PHOTONS))
     ]
     least = smallest(shares)
-    return finding(least, between(least, low=0.98), "the smaller share of direct and indirect together")
+    return finding(least, between(least, low=0.98), "the smaller of the shares of direct and indirect together")
 
 
 STEPS: dict[str, dict[str, Any]] = {
@@ -69,7 +68,9 @@ def _spacing_difference(results: Results) -> Finding:
     spread = ratio(largest(few), smallest(few))
     verdicts = [between(many, high=5), between(spread, high=1.5), between(smallest(few), low=20),
                 between(largest(few), high=80)]  # fmt: skip
-    words = f"100k photons differ by {told(smallest(few))} to {told(largest(few))}; at 250k the larger is"
+    words = (
+        f"100k photons differ by {told(smallest(few))} to {told(largest(few))}; the larger of spacings 4 and 8 at 250k"
+    )
     return finding(many, every(verdicts), words)
 
 
@@ -78,27 +79,27 @@ def _tolerance_cost(results: Results) -> Finding:
     saved = difference(exactly(1.0), ratio(some, fine))
     levels = ratio(difference(more, most), difference(fine, more))
     verdict = every([between(saved, low=1 / 3), between(levels, high=0.2)])
-    words = f"0.15 to 0.3 saves {told(levels)} of what 0.02 to 0.15 does; 0.1 saves of the cost of 0.02"
+    words = f"0.15 to 0.3 saves {told(levels)} of what 0.02 to 0.15 does; share of the cost that 0.1 saves"
     return finding(saved, verdict, words)
 
 
 def _tolerance_difference(results: Results) -> Finding:
     found = at_256(at(results, irradiance_cache_tolerance=0.1))
-    return finding(found, between(found, 15, 60), "tolerance 0.1 differs by")
+    return finding(found, between(found, 15, 60), "difference of tolerance 0.1")
 
 
 def _rays_cost(results: Results) -> Finding:
     few, some, many = (at(results, final_gather_rays=count).cost for count in (16, 144, 256))
     times, saved = ratio(many, few), difference(exactly(1.0), ratio(some, many))
     verdict = every([between(times, 3, 5), between(saved, low=0.2)])
-    return finding(times, verdict, f"144 rays save {told(saved)} of the cost; 256 cost, of 16,")
+    return finding(times, verdict, f"144 rays save {told(saved)} of the cost; cost of 256 over 16")
 
 
 def _rays_difference(results: Results) -> Finding:
     few, some, more = (at_256(at(results, final_gather_rays=count)) for count in (16, 64, 144))
     spike = ratio(few, some)
     verdict = every([between(more, 10, 40), between(some, 40, 160), between(spike, low=3)])
-    return finding(spike, verdict, f"144 rays differ by {told(more)}, 64 by {told(some)}, and 16 by, of 64,")
+    return finding(spike, verdict, f"144 rays differ by {told(more)}, 64 by {told(some)}; difference of 16 over 64")
 
 
 CLAIMS = claims_of(

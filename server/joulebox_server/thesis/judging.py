@@ -22,6 +22,14 @@ def ratio(one: Interval, other: Interval) -> Interval:
     return Interval(value=value, low=value * math.exp(-down), high=value * math.exp(min(up, 700.0)))
 
 
+def share(part: Interval, rest: Interval) -> Interval:
+    """part / (part + rest), errors of the two taken as independent and in proportion."""
+    if part.value <= 0:
+        return exactly(0.0)
+    over = ratio(rest, part)
+    return Interval(value=1 / (1 + over.value), low=1 / (1 + over.high), high=1 / (1 + over.low))
+
+
 def difference(one: Interval, other: Interval) -> Interval:
     """one - other, errors taken as independent."""
     value = one.value - other.value
@@ -71,7 +79,9 @@ def every(verdicts: Sequence[Verdict]) -> Verdict:
 
 
 def rises(values: Sequence[Interval]) -> Verdict:
-    """Whether the last is above the first, and no step falls by more than its interval."""
+    """Whether the last is above the first, and no step surely falls. Raises MissingError for fewer than two."""
+    if len(values) < 2:
+        raise MissingError("fewer than two points are there to rise")
     steps = [between(ratio(b, a), low=1.0) for a, b in pairwise(values)]
     whole = between(ratio(values[-1], values[0]), low=1.0)
     if whole == "holds" and "fails" not in steps:

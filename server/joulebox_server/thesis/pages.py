@@ -99,6 +99,8 @@ def _figure_blocks(pictures: Path, results: Results, one: Figure) -> list[Block]
         return [Words(f"{heading} {MISSING}", "notice")]
     if isinstance(drawn, dict):
         return [Chart(name, drawn, f"{heading} {one.caption}", one.title)]
+    if isinstance(drawn, Table):
+        return [Words(f"{heading} {one.caption}"), drawn]
     shown = [
         Picture(f"{name}-{number}", (pictures / f"{tile.image_sha256}.png").read_bytes(), tile.caption, tile.caption)
         for number, tile in enumerate(drawn, 1)
@@ -116,7 +118,7 @@ def tiles_of(results: Results, batches: Sequence[Batch]) -> list[Tile]:
                 drawn = one.draw(results)
             except MissingError:
                 continue
-            if drawn is not None and not isinstance(drawn, dict):
+            if drawn is not None and not isinstance(drawn, dict | Table):
                 found += drawn
     return found
 

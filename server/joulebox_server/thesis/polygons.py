@@ -68,7 +68,7 @@ def _rising(results: Results, stage: str, above: tuple[str, ...]) -> Finding:
     verdict = every([*(between(step, low=1.0) for step in steps), *(between(top, low=1.0) for top in tops)])
     words = ", ".join(f"{told(top)} of {size}" for size, top in zip(above, tops, strict=True))
     least = smallest(steps)
-    return finding(least, verdict, f"the medium bunny costs {words}; the finest mesh costs, of the coarsest, at least")
+    return finding(least, verdict, f"the medium bunny costs {words}; the least of the finest mesh over the coarsest")
 
 
 def _map_creation(results: Results) -> Finding:
@@ -85,7 +85,7 @@ def _indirect(results: Results) -> Finding:
     dearest = largest([ratio(mean, boxes) for mean in means.values()])
     grows = ratio(means["large"], means["small"])
     verdict = every([between(dearest, high=1.05), between(grows, high=1.05)])
-    return finding(dearest, verdict, f"large costs {told(grows)} of small; the dearest size costs, of boxes,")
+    return finding(dearest, verdict, f"large over small {told(grows)}; the dearest size over boxes")
 
 
 def _final_gathering(results: Results) -> Finding:
@@ -94,7 +94,9 @@ def _final_gathering(results: Results) -> Finding:
         costs = [gathered(results, bunny(detail, size)).cost for detail in DETAILS]
         worst.append(ratio(largest(costs), smallest(costs)))
     most = largest(worst)
-    return finding(most, every([between(one, high=1.15) for one in worst]), "the dearest mesh costs, of the cheapest,")
+    return finding(
+        most, every([between(one, high=1.15) for one in worst]), "the dearest mesh over the cheapest, at most"
+    )
 
 
 CLAIMS = claims_of(

@@ -20,7 +20,7 @@ def ratings(results: Results, sweep: str, scene: str, settings: Sequence[str]) -
     for name in settings:
         line = _line(results.points(sweep, scene), reference[0] if reference else None, name)
         if len(line) > 1:
-            found |= {rated.setting: rated for rated in _tradeoff(line, reference, name).ratings}
+            found |= {rated.setting: rated for rated in tradeoff_of(line, reference, (name,)).ratings}
     return found
 
 
@@ -33,16 +33,17 @@ def _line(points: Sequence[Point], reference: Point | None, name: str) -> list[P
     return [p for p in points if {key: value for key, value in p.settings.items() if key not in same} == base]
 
 
-def _tradeoff(line: Sequence[Point], reference: Sequence[Point], name: str) -> Tradeoff:
-    width, height = (int(line[0].settings[side]) for side in ("width", "height"))
+def tradeoff_of(points: Sequence[Point], reference: Sequence[Point], axes: Sequence[str] = ()) -> Tradeoff:
+    """Points of one size as the analysis takes them; its time is our cost: it judges what the study rests on."""
+    width, height = (int(points[0].settings[side]) for side in ("width", "height"))
     subject = Subject(
-        sweep_id="", scene=line[0].scene, device="", width=width, height=height, axes=[name], seed_policy="same"
+        sweep_id="", scene=points[0].scene, device="", width=width, height=height, axes=axes, seed_policy="same"
     )
-    return build_tradeoff(subject, _observations(line), _observations(reference))
+    return build_tradeoff(subject, _observations(points), _observations(reference))
 
 
 def _observations(points: Sequence[Point]) -> list[Observation]:
-    """As the analysis takes them; its time is our cost, so that it rates what the study rests on."""
+    """Every row of the points."""
     return [
         Observation(
             configuration_id=str(number),

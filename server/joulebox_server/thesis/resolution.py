@@ -73,7 +73,7 @@ def _tolerance(results: Results) -> Finding:
         costs = [point.cost for point in reversed(at(results, "fg", side))]
         verdicts.append(rises(costs))
         least.append(ratio(costs[-1], costs[0]))
-    return finding(smallest(least), every(verdicts), "tolerance 0.05 costs, of 0.3, at least")
+    return finding(smallest(least), every(verdicts), "the least cost of tolerance 0.05 over 0.3")
 
 
 def _lower_is_dearer(results: Results) -> Finding:
@@ -95,7 +95,7 @@ def _alike(method: str) -> Any:
             known = [one for one in each if one is not None and one.value > 0]
             spreads.append(ratio(largest(known), smallest(known)))
         verdict = every([between(spread, high=1.5) for spread in spreads])
-        return finding(largest(spreads), verdict, "the largest difference a pixel is, of the smallest, at most")
+        return finding(largest(spreads), verdict, "the largest difference a pixel over the smallest, at most")
 
     return judge
 
@@ -112,7 +112,7 @@ def _spread(results: Results) -> Finding:
         verdicts.append(between(ratio(own["fg"], own["dv"]), low=1.0))
         told_of.append((side, own))
     side, last = told_of[-1]
-    words = f"at {side}x{side} the dearest costs {told(last['dv'])} of the cheapest in direct visualisation; gathering"
+    words = f"at {side}x{side} the dearest over the cheapest: direct visualisation {told(last['dv'])}, final gathering"
     return finding(last["fg"], every(verdicts), words)
 
 
@@ -197,9 +197,9 @@ def advice(results: Results) -> list[str]:
 BATCH = Batch(
     "resolution",
     "Resolution",
-    "Does what was learnt at one size hold at others? Four configurations of direct visualisation (50k to 200k photons) "
+    "Is what was learnt at one size true of others? Four configurations of direct visualisation (50k to 200k photons) "
     "and of final gathering (tolerance 0.05 to 0.3; 100k photons, irradiance at every 4th) are rendered at "
-    "several sizes; in a quick run 128 to 512 pixels a side by direct visualisation, 64 to 256 by final gathering.",
+    "several sizes, in a quick run 128 to 512 pixels a side by direct visualisation, 64 to 256 by final gathering.",
     sweeps,
     FIGURES,
     CLAIMS,
