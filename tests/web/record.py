@@ -93,7 +93,9 @@ def pack(backup: Path, target: Path) -> None:
     """A backup as one file, without what the dashboard never shows: scenes, and pictures of further repeats."""
     with closing(sqlite3.connect(backup / "joulebox.db")) as database:
         for column in ("document", "shown"):  # the kernel of whoever recorded is nobody's business
-            database.execute(f"UPDATE device_capabilities SET {column} = replace({column}, ?, 'Linux')", (platform.platform(),))
+            database.execute(
+                f"UPDATE device_capabilities SET {column} = replace({column}, ?, 'Linux')", (platform.platform(),)
+            )
         database.commit()
         database.execute("VACUUM")
         shown = {sha256 for found in database.execute(SHOWN) for sha256 in found if sha256}
