@@ -57,8 +57,8 @@ def sweep_definition(**changes: Any) -> dict[str, Any]:
     } | changes
 
 
-def exr_picture(settings: dict[str, Any], folder: Path, blemish: float = 0.0) -> bytes:
-    """EXR bytes of a red-green box with a lamp, blotched by as much noise as its settings leave."""
+def exr_picture(settings: dict[str, Any], folder: Path, blemish: float = 0.0) -> tuple[bytes, str]:
+    """EXR bytes of a red-green box with a lamp, blotched by as much noise as its settings leave; hash of its pixels."""
     width, height = settings["width"], settings["height"]
     y, x = np.mgrid[0:height, 0:width].astype(np.float32)
     y, x = y / height, x / width
@@ -78,7 +78,7 @@ def exr_picture(settings: dict[str, Any], folder: Path, blemish: float = 0.0) ->
     assert output.open(str(path), OpenImageIO.ImageSpec(width, height, 3, "float")), output.geterror()
     assert output.write_image(np.ascontiguousarray(image)), output.geterror()
     output.close()
-    return path.read_bytes()
+    return path.read_bytes(), hashlib.sha256(image.tobytes()).hexdigest()
 
 
 def _interval(value: float, share: float = 0.03) -> dict[str, float]:
@@ -90,7 +90,7 @@ BATTERY = {"battery_charge_share": 0.71, "battery_full_j": 172_800.0, "mains_onl
 
 
 def measure_document(
-    lease: dict[str, Any], image: bytes, quality: str, power_w: float, version: str = "1"
+    lease: dict[str, Any], image: bytes, pixel_sha256: str, quality: str, power_w: float, version: str = "1"
 ) -> dict[str, Any]:
     """A result for a lease: a cost for every photon and every gathered one, `power_w` throughout."""
     settings = DEFAULTS | lease["settings"]
@@ -138,7 +138,7 @@ def measure_document(
         "conditions": {"before": {}, "after": {} if quality == "none" else BATTERY},
         "void": None,
         "noise": None,
-        "pixel_sha256": hashlib.sha256(b"pixels" + image).hexdigest(),
+        "pixel_sha256": pixel_sha256,
         "image_blob": hashlib.sha256(image).hexdigest(),
     }
 
@@ -198,11 +198,11 @@ class FormulaDevice:
             lease = self._lease()
             if lease is None:
                 return count
-            image = exr_picture(DEFAULTS | lease["settings"], self.folder, self.blemish)
+            image, pixels = exr_picture(DEFAULTS | lease["settings"], self.folder, self.blemish)
             sha256 = hashlib.sha256(image).hexdigest()
             binary = self.headers | {"Content-Type": "application/octet-stream"}
             _good(self.client.put(f"/v1/blobs/{sha256}", headers=binary, content=image))
-            document = measure_document(lease, image, self.quality, self.power_w, self.version)
+            document = measure_document(lease, image, pixels, self.quality, self.power_w, self.version)
             path = f"/v1/attempts/{lease['attempt_id']}/result"
             _good(self.client.put(path, headers=self.headers, json=document))
         return most
