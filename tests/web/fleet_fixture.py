@@ -215,7 +215,8 @@ class FormulaDevice:
         _good(self.client.post(f"/v1/attempts/{lease['attempt_id']}/release", headers=self.headers, json=body))
 
     def _lease(self) -> dict[str, Any] | None:
-        body = {"boot_id": "boot-1", "conditions": {}, "max_jobs": 1, "wait_s": 0}
+        conditions = {} if self.quality == "none" else BATTERY
+        body = {"boot_id": "boot-1", "conditions": conditions, "max_jobs": 1, "wait_s": 0}
         answer = _good(self.client.post("/v1/leases", headers=self.headers, json=body))
         return answer.json()["leases"][0] if answer.status_code == 200 else None
 
@@ -324,5 +325,5 @@ def fill(fleet: Fleet) -> dict[str, str]:
     return made
 
 
-SPARSE = [(20_000, 25), (20_000, 100), (60_000, 50), (200_000, 25), (200_000, 100), (60_000, 25), (20_000, 50)]
-"""Seven of nine combinations: the two that are missing can be predicted."""
+SPARSE = [(p, g) for p in (20_000, 60_000, 200_000) for g in (25, 50, 100, 200) if (p, g) != (200_000, 200)]
+"""All combinations but the best: it can be predicted."""

@@ -102,7 +102,7 @@ def test_the_slider_parts_the_pictures(browser: Browser, stored: Fleet) -> None:
         box = edge.bounding_box()
         assert box
         middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-        for offset, name in ((80, "reference"), (-80, "test")):
+        for offset, name in ((80, "reference"), (-160, "test")):
             page.mouse.move(*middle)
             page.mouse.down()
             page.mouse.move(middle[0] + offset, middle[1], steps=4)
@@ -110,7 +110,7 @@ def test_the_slider_parts_the_pictures(browser: Browser, stored: Fleet) -> None:
             assert shown(page, "slider", x, y) == pytest.approx(level[name][y, x], abs=1)
             middle = middle[0] + offset, middle[1]
         edge.press("ArrowRight")
-        page.wait_for_function("location.hash.includes('split=')")
+        page.wait_for_function("() => location.hash.includes('split=')")
         watched.check()
 
 

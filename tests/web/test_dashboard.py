@@ -72,7 +72,7 @@ def test_a_sweep_is_pasted_previewed_and_started(browser: Browser, tmp_path: Pat
             text.fill(PASTED)
             page.get_by_role("button", name="Preview").click()
             expect(preview).to_contain_text("../scenes/box is taken to be the scene box")
-            expect(preview).to_contain_text("4: 2 to measure, 1 references, 1 noise floors")
+            expect(preview).to_contain_text("4: 2 to measure, 1 reference, 1 noise floor")
             expect(preview).to_contain_text("J at 12 W")
             expect(preview).to_contain_text("from 90 to 30 % each")
             assert watched.overflow() <= 0
@@ -133,7 +133,7 @@ def test_a_share_of_the_battery(browser: Browser, fleet: Fleet, sweeps: dict[str
 
 def test_promising_settings_are_shown_and_queued(browser: Browser, fleet: Fleet, sweeps: dict[str, str]) -> None:
     """Predictions come into the chart when they are asked for, with a mark of their own."""
-    with opened(browser, fleet.url, path=f"/#sweep={sweeps['sparse']}&budget=14") as watched:
+    with opened(browser, fleet.url, path=f"/#sweep={sweeps['sparse']}&budget=40") as watched:
         page = watched.page
         expect(page.locator(POINTS).first).to_be_visible()
         page.get_by_label("predictions too").check()

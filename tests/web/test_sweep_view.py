@@ -114,7 +114,7 @@ def test_the_limit_is_dragged_and_typed(browser: Browser, stored: Fleet) -> None
         page.mouse.down()
         page.mouse.move(x, y + 60, steps=5)
         page.mouse.up()
-        page.wait_for_function("location.hash.includes('limit=')")
+        page.wait_for_function("() => location.hash.includes('limit=')")
         limit = float(page.locator("[name=limit]").input_value())
         assert limit < stored.get(f"/v1/sweeps/{GRID}/tradeoff")["limit"]
         assert line(page, "Limit line")[1] == pytest.approx(y + 60, abs=2)
@@ -137,7 +137,7 @@ def test_the_budget_is_dragged_slid_and_moved_by_keyboard(browser: Browser, stor
         page.mouse.move(x + 80, y, steps=4)
         expect(page.locator("#tradeoff svg")).not_to_contain_text("budget 9 J")  # while it moves
         page.mouse.up()
-        page.wait_for_function("!location.hash.includes('budget=9&') && !location.hash.endsWith('budget=9')")
+        page.wait_for_function("() => !location.hash.includes('budget=9&') && !location.hash.endsWith('budget=9')")
         dragged = float(field.input_value())
         assert dragged > 9
         handle = page.get_by_role("slider", name="Budget line", exact=True)
@@ -208,7 +208,7 @@ def test_a_link_reproduces_the_view(browser: Browser, stored: Fleet) -> None:
         page.get_by_label("Unit of the budget").select_option("s")
         page.locator("#budget-value").fill("0.9")
         expect(page.locator("#recommendation .answer")).to_be_visible()
-        page.wait_for_function("location.hash.includes('budget=0.9')")
+        page.wait_for_function("() => location.hash.includes('budget=0.9')")
         address = page.evaluate("location.pathname + location.hash")
         told = page.locator(".chosen-point").text_content()
         answer = page.locator("#recommendation").text_content()
@@ -244,7 +244,9 @@ def test_the_settings_are_taken_along(browser: Browser, stored: Fleet) -> None:
         wanted = stored.get(f"/v1/sweeps/{GRID}/recommendation?budget_j=9")["settings"]
         assert json.loads(page.evaluate("navigator.clipboard.readText()")) == wanted
         page.get_by_role("button", name="Copy the command line").click()
-        page.wait_for_function("navigator.clipboard.readText().then((text) => text.startsWith('joulebox-render'))")
+        page.wait_for_function(
+            "() => navigator.clipboard.readText().then((text) => text.startsWith('joulebox-render'))"
+        )
         words = page.evaluate("navigator.clipboard.readText()").split()
         assert words[:3] == ["joulebox-render", "render", "cornell-boxes"]
         told = dict(word.split("=") for before, word in pairwise(words) if before == "--set")

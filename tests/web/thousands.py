@@ -45,11 +45,17 @@ def add_thousands(path: Path, count: int) -> None:
         (scene, *_) = copier.rows("SELECT * FROM sweep_scene WHERE sweep_id = ? ORDER BY position", sweep["id"])
         (target,) = copier.rows("SELECT * FROM target WHERE sweep_id = ?", sweep["id"])
         definition = json.loads(sweep["definition"])
-        definition |= {"name": NAME, "scenes": definition["scenes"][:1], "axes": {"global_photons": [1], "final_gather_rays": [1]}}
+        definition |= {
+            "name": NAME,
+            "scenes": definition["scenes"][:1],
+            "axes": {"global_photons": [1], "final_gather_rays": [1]},
+        }
         new_sweep = copier.add("sweep", sweep, name=NAME, definition=json.dumps(definition))
         new_scene = copier.add("sweep_scene", scene, sweep_id=new_sweep)
         new_target = copier.add("target", target, sweep_id=new_sweep)
-        jobs = copier.rows("SELECT * FROM job WHERE sweep_scene_id = ? AND purpose != 'control' AND repeat = 0", scene["id"])
+        jobs = copier.rows(
+            "SELECT * FROM job WHERE sweep_scene_id = ? AND purpose != 'control' AND repeat = 0", scene["id"]
+        )
         reference = next(job for job in jobs if job["purpose"] == "reference")
         measured = [job for job in jobs if job["purpose"] == "measure"]
         moved = {"sweep_id": new_sweep, "target_id": new_target, "sweep_scene_id": new_scene}
@@ -74,7 +80,11 @@ def _add_job(copier: _Copier, job: dict[str, Any], moved: dict[str, str], place:
     document = json.loads(result["document"])
     if place is not None:
         document["settings"] |= {"final_gather_rays": rays, "global_photons": photons}
-        for cost in (document["time_s_per_image"], document["cpu_s_per_image"], document["energy_j_per_image"]["gross"]):
+        for cost in (
+            document["time_s_per_image"],
+            document["cpu_s_per_image"],
+            document["energy_j_per_image"]["gross"],
+        ):
             cost.update({bound: factor * value for bound, value in cost.items()})
     new_result = copier.add(
         "result", result, attempt_id=copier.add("attempt", attempt, job_id=new_job), job_id=new_job,
@@ -84,5 +94,6 @@ def _add_job(copier: _Copier, job: dict[str, Any], moved: dict[str, str], place:
         (found,) = copier.rows("SELECT * FROM image_difference WHERE id = ?", compared["difference_id"])
         value = found["value"] / math.sqrt(factor) * random.Random(-factor).lognormvariate(0, 0.4)
         difference = copier.add("image_difference", found, value=value, test_sha256=f"{place:064x}")
-        copier.add("comparison", compared, result_id=new_result, reference_result_id=base, sweep_id=moved["sweep_id"], difference_id=difference)  # fmt: skip
+        ends = {"result_id": new_result, "reference_result_id": base, "sweep_id": moved["sweep_id"]}
+        copier.add("comparison", compared, **ends, difference_id=difference)
     return new_result

@@ -208,7 +208,7 @@ def data(rows: list[Row]) -> Any:
 
 def named(name: str) -> Any:
     """A chart of rows that the specification lists once under `datasets`: they may be thousands."""
-    return alt.Chart(alt.NamedData(name))  # type: ignore[no-untyped-call]
+    return alt.Chart(alt.NamedData(name))
 
 
 def _scale(span: Range) -> Any:
