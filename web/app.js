@@ -39,7 +39,7 @@ async function show() {
     link.toggleAttribute("aria-current", name === view.view);
     if (name === view.view) link.setAttribute("aria-current", "page");
   }
-  if (!known.sweeps) return undefined;
+  if (!known.sweeps) return view.view === "sweep" && view.sweep ? showSweepView(context()) : undefined; // no need to wait for the lists
   if (!view.sweep && known.sweeps.length) {
     view.sweep = known.sweeps[0].id;
     writeAddress(view, false);
@@ -53,8 +53,8 @@ async function show() {
 async function refresh() {
   try {
     const [sweeps, devices, fleet] = await Promise.all(["/v1/sweeps", "/v1/devices", "/v1/fleet"].map((path) => getItems(path)));
+    if (known.sweeps) staleSweep();
     Object.assign(known, { sweeps, devices, fleet: new Map(fleet.map((state) => [state.device, state])) });
-    staleSweep();
   } catch (error) {
     if (!known.sweeps) {
       for (const id of ["sweeps", "overview", "devices", "compare"]) {
@@ -116,4 +116,5 @@ async function start() {
   }
 }
 if (view.view === "sweep") chartLibrary().catch(() => {});
+show();
 start();

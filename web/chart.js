@@ -38,6 +38,7 @@ export function chartIn(box, { onPick, onDrawn, lines = [] } = {}) {
   let drawn = null;
   let view = null;
   let marked = null;
+  let described = "";
   let latest = 0;
   const ring = el("span", { class: "ring", hidden: true, "aria-hidden": "true" });
 
@@ -53,12 +54,13 @@ export function chartIn(box, { onPick, onDrawn, lines = [] } = {}) {
   async function show(text, description) {
     if (text === drawn) return place();
     drawn = text;
+    described = description;
     const turn = ++latest;
     if (!view) fill(box, quiet("Drawing the chart …"));
     try {
       const { vegaEmbed } = await chartLibrary();
       if (turn !== latest) return undefined;
-      const spec = inPageColours(JSON.parse(text));
+      const spec = { ...inPageColours(JSON.parse(text)), description };
       const canvas = el("div", { class: "canvas" });
       const stage = el("div", { class: "stage" }, canvas, ring, lines);
       fill(box, stage); // in the page before it is drawn, because its width is its container's
@@ -70,7 +72,6 @@ export function chartIn(box, { onPick, onDrawn, lines = [] } = {}) {
       if (turn !== latest) return result.finalize();
       view?.finalize();
       view = result.view;
-      view.description(description);
       for (const picture of canvas.querySelectorAll("svg, canvas")) {
         picture.setAttribute("role", "img");
         picture.setAttribute("aria-label", description);
@@ -88,7 +89,7 @@ export function chartIn(box, { onPick, onDrawn, lines = [] } = {}) {
     if (!drawn) return;
     const text = drawn;
     drawn = null;
-    show(text, view?.description() ?? "");
+    show(text, described);
   });
 
   return {

@@ -2,7 +2,7 @@
 
 import { getItems, send } from "/assets/api.js";
 import { button, chip, code, copyButton, el, facts, fill, link, problem, quiet } from "/assets/dom.js";
-import { ago, clock, duration, number, percent, QUALITY } from "/assets/format.js";
+import { ago, clock, number, percent, QUALITY } from "/assets/format.js";
 
 const HEALTH = { good: "done", suspect: "failed", maintenance: "paused", retired: "paused" };
 const FLAGS = { suspect: "suspect", other_build: "other build", pictures_disagree: "pictures disagree" };
@@ -61,8 +61,8 @@ function one(device, state, context) {
 function battery(state) {
   const told = state?.battery;
   if (!told) return state?.result_at ? "none that the system tells of" : "not known before the first result";
-  const parts = [told.charge_share !== null ? percent(told.charge_share) : "charge not told"];
-  if (told.full_j !== null) parts.push(`of ${number(told.full_j / 3600)} Wh`);
+  const charge = told.charge_share !== null ? percent(told.charge_share) : "charge not told";
+  const parts = [told.full_j !== null ? `${charge} of ${number(told.full_j / 3600)} Wh` : charge];
   if (told.on_mains !== null) parts.push(told.on_mains ? "on mains" : "on battery");
   return `${parts.join(", ")}, ${ago(state.result_at)}`;
 }
@@ -79,7 +79,7 @@ function energy(device, state) {
 function resolution(state) {
   const { refresh_s: refresh, half_width_share: half } = state?.meter ?? {};
   const parts = [];
-  if (refresh) parts.push(`a reading every ${duration(refresh) === "0 s" ? `${number(refresh)} s` : `${number(refresh)} s`}`);
+  if (refresh) parts.push(`a reading every ${number(refresh)} s`);
   if (half) parts.push(`last energy to ± ${percent(half)}`);
   return parts.join(", ") || "not known";
 }

@@ -49,8 +49,8 @@ export function showNewSweep(box, context) {
 
 function preview(definition, found, notes, begin) {
   const { jobs, time_s: time, energy_j: energy, power_w: power, battery_charges: charges } = found;
-  const kinds = [["measure", "to measure"], ["reference", "references"], ["noise_floor", "noise floors"], ["control", "control runs"]]
-    .filter(([kind]) => jobs[kind]).map(([kind, words]) => `${jobs[kind]} ${words}`).join(", ");
+  const kinds = [["reference", "reference"], ["noise_floor", "noise floor"], ["control", "control run"]]
+    .filter(([kind]) => jobs[kind]).map(([kind, word]) => `, ${jobs[kind]} ${word}${jobs[kind] > 1 ? "s" : ""}`).join("");
   const unknown = "not known: no measured result of these devices yet";
   const start = button(`Start ${definition.name}`, "start-sweep", () => { start.disabled = true; begin(); });
   return [
@@ -58,7 +58,7 @@ function preview(definition, found, notes, begin) {
     notes.map((note) => el("p", { class: "notice" }, note)),
     facts([
       ["Configurations", number(found.configurations)],
-      ["Jobs", `${jobs.total}: ${kinds}`],
+      ["Jobs", `${jobs.total}: ${jobs.measure} to measure${kinds}`],
       ["Time on each device", `${duration(time.low)} to ${duration(time.high)}`],
       ["Energy", energy === null ? unknown : `${number(energy)} J at ${number(power)} W`],
       ["Battery charges", charges === null ? "not known: no battery told its capacity yet" : `${number(charges)}, from 90 to 30 % each`],

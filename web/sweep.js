@@ -19,12 +19,12 @@ let drawnFor = {}; // the limit and budget that the chart's axes were made for
 const UNITS = { energy_j: "J", time_s: "s", energy_j_per_pixel: "J a pixel" };
 
 const limitLine = handle({
-  axis: "y", label: "Limit of the difference", place: (value) => chart.pixel("y", value), read: (pixel) => chart.value("y", pixel),
+  axis: "y", label: "Limit line", place: (value) => chart.pixel("y", value), read: (pixel) => chart.value("y", pixel),
   told: (value) => `acceptable below ${number(value)}`,
   onMove: (value) => chart.set("limit", value), onDone: (value) => context.change({ limit: trimmed(value / perPixel("y")) }),
 });
 const budgetLine = handle({
-  axis: "x", label: "Budget", place: (value) => chart.pixel("x", value), read: (pixel) => chart.value("x", pixel),
+  axis: "x", label: "Budget line", place: (value) => chart.pixel("x", value), read: (pixel) => chart.value("x", pixel),
   told: (value) => `budget ${number(value)} ${UNITS[axis()]}`,
   onMove: (value) => chart.set("budget", value), onDone: (value) => setBudget(value),
 });
@@ -62,10 +62,11 @@ export async function showSweepView(given) {
   const wanted = JSON.stringify(["sweep", "scene", "device", "x", "y", "scale", "colour", "only", "predicted"].map((key) => view[key]));
   if (loaded.sweep?.id !== view.sweep) fill(at("overview"), quiet("Loading the sweep …"));
   if (stale || loaded.for !== wanted || !fits()) {
+    const turn = loads + 1;
     try {
       await load(wanted);
     } catch (error) {
-      if (JSON.stringify(context.view) !== JSON.stringify(view)) return undefined;
+      if (turn !== loads) return undefined;
       loaded.for = null;
       if (error.code === "not_answerable" && view.x) return context.change({ x: null, only: null, colour: null });
       at("sweep").hidden = true;
@@ -94,8 +95,10 @@ function tradeoffPath(kind, lines) {
   return readOnly(only).reduce((so, chosen) => `${so}${so.includes("?") ? "&" : "?"}only=${encodeURIComponent(chosen)}`, path);
 }
 
+let loads = 0;
 async function load(wanted) {
   const { view } = context;
+  const turn = ++loads;
   stale = false;
   const path = `/v1/sweeps/${encodeURIComponent(view.sweep)}`;
   const lines = loaded.head && loaded.sweep.id === view.sweep ? { limit: view.limit, budget: budget() } : { limit: view.limit };
@@ -105,12 +108,10 @@ async function load(wanted) {
     sweep.jobs.failed ? getItems(`${path}/jobs`).then((jobs) => jobs.filter((job) => job.state === "failed")) : [],
     running ? getJson(`${path}/progress`).catch(() => null) : null,
   ]);
-  if (context.view.sweep !== view.sweep) return;
+  if (turn !== loads) return; // somebody went on meanwhile; a newer load shows where to
   const { usermeta: head, datasets } = text === loaded.text ? { usermeta: loaded.head, datasets: { points: loaded.rows } } : JSON.parse(text);
-  const again = stale;
   drawnFor = { limit: lines.limit ? Number(lines.limit) : null, budget: lines.budget ?? null };
   Object.assign(loaded, { for: wanted, sweep, head, text, failed, progress, rows: datasets?.points ?? [], predicted: datasets?.predictions ?? [] });
-  stale = again;
 }
 
 function showNothing() {

@@ -1,4 +1,4 @@
-"""The stored server of `tests/web/data`: two sweeps that the real agent measured (see `record.py`), one of them failed."""
+"""The stored server of `tests/web/data`: two sweeps that the real agent measured (see `record.py`), one failed."""
 
 import tarfile
 from pathlib import Path

@@ -54,7 +54,7 @@ class Range:
     def at(self, fraction: float) -> float:
         """The value at a fraction of the axis."""
         if self.log:
-            return float(self.low * (self.high / self.low) ** fraction)
+            return self.low * math.pow(self.high / self.low, fraction)
         return self.low + (self.high - self.low) * fraction
 
 

@@ -64,6 +64,5 @@ class _Others:
         if dominated:
             # only others that were repeated can prove a point dominated; none surely dominates itself
             return Standing(on_front=False, confirmed=bool(((self.high < low).all(axis=0) & self.repeated).any()))
-        may_dominate = np.asarray((self.low <= high).all(axis=0))
-        may_dominate[place] = False
-        return Standing(on_front=True, confirmed=not may_dominate.any())
+        may_dominate = int((self.low <= high).all(axis=0).sum())  # the point itself among them
+        return Standing(on_front=True, confirmed=may_dominate == 1)

@@ -167,7 +167,7 @@ def _with_quality(told: str, found: Recommendation) -> str:
 
 
 def _choice_told(choice: Choice) -> str:
-    cost = frame.spread(choice.energy_j, "J") if choice.energy_j else spread(choice.time_s, "s")
+    cost = frame.spread(choice.energy_j, "J") if choice.energy_j else frame.spread(choice.time_s, "s")
     return f"{choice.label}, {cost}, difference {frame.spread(choice.difference, '')}"
 
 
