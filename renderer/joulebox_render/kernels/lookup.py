@@ -32,6 +32,8 @@ BESIDE = 2.0
 INVERSE_PI = 1.0 / math.pi
 # Rays that feel whether a cell is all in one place.
 FEELERS = 5
+# What is unsure about a point because no cell holds it.
+OUTSIDE = 2
 
 
 @device
@@ -145,9 +147,9 @@ def aim_feelers(tree, row, position, normal, lift, length, origin, direction, li
 def look_up_irradiance(table, tree, records, doubtful, position, normal, reach, cos_limit, scratch, irradiance, unsure):
     """Irradiance of each point's cell, or of the record nearest to it where the table has no such cell.
 
-    irradiance (Q, 3) f4 [W m^-2] and unsure (Q,) u1 are overwritten; unsure is 1 where the cell is, or there is none;
-    in a table without cells, where no record lies within `reach` [m] or it is marked in doubtful (R,) u1. As the
-    nearest record but for a cell's size, and five to ten times as fast; returns how many cells were met.
+    irradiance (Q, 3) f4 [W m^-2] and unsure (Q,) u1 are overwritten; unsure is 1 where the cell is, OUTSIDE where there
+    is none; in a table without cells 1 where no record lies within `reach` [m] or it is marked in doubtful (R,) u1. As
+    the nearest record but for a cell's size, and five to ten times as fast; returns how many cells were met.
     Source: Christensen 1999.
     """
     met, has_cells = 0, table.key.shape[0] > 1
@@ -164,7 +166,7 @@ def look_up_irradiance(table, tree, records, doubtful, position, normal, reach, 
             continue
         row = nearest_point(tree, x, y, z, nx, ny, nz, cos_limit, reach * reach, scratch)
         # Nothing is known of the way from a place between the cells to its record.
-        unsure[q] = has_cells or row < 0 or doubtful[row] > 0
+        unsure[q] = OUTSIDE if has_cells else row < 0 or doubtful[row] > 0
         for c in range(3):
             irradiance[q, c] = records[row, c] if row >= 0 else 0.0
     return met

@@ -21,6 +21,7 @@ from joulebox_render.kernels.lookup import (
     LATTICE,
     NEVER,
     NO_CELL,
+    OUTSIDE,
     aim_feelers,
     answer_rays,
     look_up_irradiance,
@@ -48,6 +49,8 @@ RECORD_SHADOW_RAYS = 4
 RECORD_STREAM = 3
 # Cells by which a table reaches beyond the records on every side, and to which it is filled around each at most.
 MARGIN = 16
+# Of the photon map's resolution: no ray longer than this is a short one (kernels.gathering.short_ray).
+SURELY_LONG = 1.5
 # How far above the surface feelers run, in cells: a wall's foot is felt, a curve of the surface is not.
 FEELER_LIFT = 0.05
 
@@ -72,7 +75,8 @@ class IrradianceRecords(NamedTuple):
     """Irradiance computed ahead at some photons' positions: tree, irradiance (R, 3) f4 in its order [W m^-2].
 
     doubtful (R,) u1 marks those with photons behind a wall. reach_m is how far a look-up may go: records of every nth
-    photon lie sqrt(n) times as far apart as photons. table answers nearly all look-ups.
+    photon lie sqrt(n) times as far apart as photons. table answers nearly all look-ups. others is the estimate that the
+    records were made with, of the photons that are none; None where all are.
     """
 
     tree: Tree
@@ -80,6 +84,7 @@ class IrradianceRecords(NamedTuple):
     doubtful: U1
     reach_m: float
     table: IrradianceTable
+    others: DensityEstimate | None = None
 
 
 @dataclass(frozen=True)
@@ -129,7 +134,26 @@ class Illumination:
             points.position, points.normal, self.records.reach_m, self.estimate.cos_limit, Scratch.empty(1),
             irradiance, unsure,
         )  # fmt: skip
+        if self.records.others is not None:
+            apart = np.flatnonzero((unsure == OUTSIDE) & (points.distance > SURELY_LONG * self.resolution_m))
+            if len(apart):
+                irradiance[apart], unsure[apart] = estimate_apart(self.records.others, Points(*rows(points, apart)))
         return irradiance, unsure
+
+
+def estimate_apart(others: DensityEstimate, points: Points) -> tuple[F4, U1]:
+    """Irradiance (N, 3) f4 at points that lie apart from all records, and whether something hides photons, (N,) u1.
+
+    In dim rooms records are too few for cells to meet. There `others`, who do not know where the records are, are asked
+    at each point: all photons would say too little, for where no record is those of the records are missing.
+    """
+    context, count = others.context, len(points.owner)
+    assert context is not None
+    estimates = others(points.position, points.normal, probe_keys(points))
+    few = np.ascontiguousarray(estimates.witness[:, ::FEW_WITNESSES_STEP])
+    share = share_in_sight(context, others.photons, points.position, points.normal, few)
+    sampled, _ = sample_lights(context, points._replace(albedo=np.full_like(points.albedo, math.pi)), 0, count, 1)
+    return estimates.irradiance + sampled.astype(np.float32), (share < 1).view(np.uint8)
 
 
 def precompute_irradiance(context: Context, photons: PhotonMap) -> IrradianceRecords:
@@ -155,7 +179,7 @@ def precompute_irradiance(context: Context, photons: PhotonMap) -> IrradianceRec
     tree, order = grow_tree(position, normal, context.pool)
     records = IrradianceRecords(
         tree, np.ascontiguousarray(estimates.irradiance[order]), np.ascontiguousarray(doubtful[order]),
-        estimate.reach_m * math.sqrt(step), empty_table(),
+        estimate.reach_m * math.sqrt(step), empty_table(), estimate if step > 1 else None,
     )  # fmt: skip
     if not len(position):
         return records
