@@ -163,6 +163,7 @@ class _Stage(NamedTuple):
     end_s: float
     cpu_s: float = 0.0
     rays: float = 0.0
+    through_specular: bool = False
 
 
 def windows_of(block: list[Image], window_s: float) -> list[Window]:

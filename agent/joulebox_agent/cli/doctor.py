@@ -12,6 +12,7 @@ from rich.table import Column, Table
 from joulebox_agent.cli.plan import StateFolder, state_folder
 from joulebox_agent.doctor import Diagnosis, diagnose
 from joulebox_agent.measuring.calibrating import Stored, stored
+from joulebox_agent.sampling.sampler import HIGHEST_CPU_SHARE
 from joulebox_agent.sources.choose import KNOWN
 
 SHOWN_CONDITIONS = {"mains_online": "mains", "battery_charge_share": "charge", "temperature_c": "hottest (C)",
@@ -60,6 +61,8 @@ def _print_words(diagnosis: Diagnosis, kept: Stored) -> None:
             console.print(f"{title}: {_words(name, value)}", markup=False)
     if diagnosis.other_cpu_share is not None:
         console.print(f"other processes: {diagnosis.other_cpu_share:.2f} cores busy")
+    if diagnosis.sampler_cpu_share is not None:
+        console.print(f"sampling: {diagnosis.sampler_cpu_share:.3%} of a core ({HIGHEST_CPU_SHARE:.1%} allowed)")
     console.print()
     if diagnosis.discharge_w is None:
         console.print(f"Discharge unknown: {diagnosis.reason}.", markup=False, soft_wrap=True)

@@ -110,7 +110,8 @@ def drift_share(series: PowerSeries, windows: Sequence[Window], lag: Lag | None)
     if lag is not None:
         looks.append(_piece_energies_j(series, "power", pieces, lag, count))
     views = [look_j / part for look_j in looks if look_j is not None for part in (images, lengths_s)]
-    return drift.half_share(views, starts_s, lengths_s, windows[0].wall_s)
+    # the first piece begins where the power stepped, and what is known between two updates is blurred by that
+    return drift.half_share([view[1:] for view in views], starts_s[1:], lengths_s[1:], windows[0].wall_s)
 
 
 def _piece_energies_j(

@@ -7,7 +7,7 @@ from joulebox_agent.errors import RendererError
 from joulebox_agent.estimates.energies import window_energies
 from joulebox_agent.estimates.estimate import two_stage_interval, windows_needed
 from joulebox_agent.loop import RendererLoop
-from joulebox_agent.measuring.blocks import Drift, Order, control_drift, shuffled
+from joulebox_agent.measuring.blocks import Drift, Order, control_drift, mark_suspects, shuffled
 from joulebox_agent.measuring.charging import Charging
 from joulebox_agent.measuring.journal import Journal
 from joulebox_agent.measuring.meter import Meter
@@ -283,20 +283,8 @@ class Session:
         control = self._course.control
         if len(self.records) < 2 or self._configurations[control].timed_only:
             return
-        record = self.records[control]
         values, unit, _ = self._values(control)
-        if len(values) != len(record.windows):
-            return
-        self.drift = control_drift(values, self._rule.min_windows, unit)
-        if self.drift is None:
-            return
-        good_until_s = record.windows[self.drift.last_good].end_s
-        for other in self.records:
-            later = sum(window.end_s > good_until_s for window in other.windows)
-            if later:
-                other.suspect = (
-                    f"the control configuration drifted: {self.drift.seen:.4g} {unit} an image where its first "
-                    f"{self._rule.min_windows} windows let expect {self.drift.expected.value:.4g} ± "
-                    f"{self.drift.expected.half_width:.2g}; {later} of {len(other.windows)} windows are later than "
-                    "its last good one"
-                )
+        if len(values) == len(self.records[control].windows):
+            self.drift = control_drift(values, self._rule.min_windows, unit)
+        if self.drift is not None:
+            mark_suspects(self.records, control, self.drift, self._rule.min_windows)

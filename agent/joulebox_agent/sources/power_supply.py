@@ -73,9 +73,9 @@ class PowerSupplyClass:
         packs, cables, ups = [], [], []
         for folder in (self.folder / name for name in names):
             kind = self.sysfs.value(folder / "type") or ""
-            if not kind or kind in GAUGE_TYPES or self.sysfs.value(folder / "scope") == "Device":
+            if not kind or kind in GAUGE_TYPES or _is(self.sysfs.value(folder / "scope"), "Device"):
                 continue
-            if kind == "Battery":
+            if _is(kind, "Battery"):
                 packs.append(folder)
             elif kind == UPS:
                 ups.append(folder.name)
@@ -185,6 +185,11 @@ class PowerSupplyClass:
 def _file(folder: Path, name: str) -> Path:
     """A file of a node that is read at every poll: joining paths anew would take longer than reading them."""
     return folder / name
+
+
+def _is(word: str | None, wanted: str) -> bool:
+    """Drivers outside the kernel write the words in letters of their own."""
+    return word is not None and word.casefold() == wanted.casefold()
 
 
 def _tells_energy(folder: Path) -> bool:
