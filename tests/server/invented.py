@@ -19,7 +19,7 @@ def invented(
     batch: Batch,
     cost: World,
     difference: World,
-    noise: float = 0.002,
+    noise: float = 0.001,
     basis: str = "measured",
     defaults: Mapping[str, Any] | None = None,
 ) -> Results:
