@@ -28,6 +28,7 @@ from joulebox_server.routes import (
     results,
     scenes,
     sweeps,
+    views,
     wheels,
     work,
 )
@@ -71,7 +72,7 @@ def create_app(
     add_problem_handlers(app)
     versioned = APIRouter(prefix="/v1", responses=told(401, 403, 408, 422, 503))
     # Routes are tried in this order: first those that devices ask for all the time.
-    for part in (work, blobs, events, devices, scenes, sweeps, results, findings, recommendation, pictures):
+    for part in (work, blobs, events, devices, scenes, views, sweeps, results, findings, recommendation, pictures):
         versioned.include_router(part.router)
     app.include_router(versioned)
     for unversioned in (health, wheels):

@@ -8,11 +8,16 @@ from joulebox_agent.loop import ImageEvent, StageEvent
 
 @dataclass
 class StageTotals:
-    """Sums over the images of a window [s, s, count], and when the stage ran: (start_s, end_s) in order."""
+    """Sums over the images of a window [s, s, count], and when the stage ran: (start_s, end_s) in order.
+
+    specular_*  the part that went to what is seen through mirrors and glass
+    """
 
     time_s: float = 0.0
     cpu_s: float = 0.0
     rays: float = 0.0
+    specular_time_s: float = 0.0
+    specular_cpu_s: float = 0.0
     intervals: list[tuple[float, float]] = field(default_factory=list)
 
 
@@ -61,6 +66,9 @@ class Window:
             totals.time_s += stage.end_s - stage.start_s
             totals.cpu_s += stage.cpu_s
             totals.rays += stage.rays
+            if stage.through_specular:
+                totals.specular_time_s += stage.end_s - stage.start_s
+                totals.specular_cpu_s += stage.cpu_s
             totals.intervals.append((stage.start_s, stage.end_s))
 
 
@@ -71,29 +79,6 @@ def stage_intervals(windows: Iterable[Window]) -> dict[str, list[tuple[float, fl
         for name, totals in window.stages.items():
             found.setdefault(name, []).extend(totals.intervals)
     return found
-
-
-class WindowSplitter:
-    """Closes a window at the first image that ends `window_s` or more after the window's start.
-
-    A window starts where the one before it ended, the first one at `start_s` (the end of the warm-up).
-    """
-
-    def __init__(self, start_s: float, window_s: float) -> None:
-        self._window_s = window_s
-        self._open = Window(start_s)
-
-    def add(self, image: ImageEvent, stages: list[StageEvent]) -> Window | None:
-        """Takes the next image; returns the window it completes, if any."""
-        self._open.add(image, stages)
-        if self._open.wall_s < self._window_s:
-            return None
-        closed, self._open = self._open, Window(image.end_s)
-        return closed
-
-    def rest(self) -> Window | None:
-        """The images after the last closed window, None without any."""
-        return self._open if self._open.images else None
 
 
 def stage_energies_j(window: Window, energy_j: float) -> Mapping[str, float]:

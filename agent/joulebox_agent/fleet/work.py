@@ -25,6 +25,8 @@ from joulebox_agent.fleet.server import Lease
 from joulebox_agent.fleet.spool import Entry
 from joulebox_agent.fleet.state import StateDir
 from joulebox_agent.fleet.stopping import Stop
+from joulebox_agent.measuring.calibrating import calibration_for, companion_of
+from joulebox_agent.measuring.ledger import StageLedger
 from joulebox_agent.measuring.measure import Measurement
 from joulebox_agent.measuring.meter import Listener, StoppedError
 from joulebox_agent.measuring.result import Result, build_result
@@ -55,6 +57,7 @@ class Worker:
         self._state, self._renderer, self._options, self._scenes = state, renderer, options, scenes
         self._attempts, self._delivery, self._stop = attempts, delivery, stop
         self._journal, self._listener = journal, listener
+        self._ledger = StageLedger()
 
     def do(self, lease: Lease) -> bool:
         """Measures one job and keeps its result, or gives it back; False when a pause should follow.
@@ -96,15 +99,21 @@ class Worker:
         self._state.scratch.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=self._state.scratch) as scratch, self._listener() as listener:
             job = self._job(lease, folder, Path(scratch))
+            root = self._options.sysfs_root
             measurement = Measurement(
-                job, rule, choice, listener, self._stop.at_once, self._options.sysfs_root, leave=self._stop.asked
-            )
+                job, rule, choice, listener, self._stop.at_once, root,
+                leave=self._stop.asked, companion=companion_of(choice, root),
+            )  # fmt: skip
             record = measurement.run()
+            self._ledger.add(record)
             if record.void is not None:
                 reason = f"the measurement is void: {record.void}"
                 self._attempts.give_back(lease, reason, failed=not record.environment)
                 return not record.environment
-            result = build_result(record, rule, job.image_file)
+            calibration, said = calibration_for([record], self._state.root)
+            result = build_result(record, rule, job.image_file, self._ledger.powers(record)[0], calibration)
+        for words in said:
+            self._journal.say("note", f"note: {words}", attempt_id=lease.attempt_id)
         self._keep(lease, result)
         return True
 

@@ -60,13 +60,15 @@ class StageIntervals(_Part):
 
 
 class StageRecord(_Part):
-    """Per image: wall and CPU seconds, rays, joules."""
+    """Per image: wall and CPU seconds, rays, joules; `specular_*`: for what is seen through mirrors and glass."""
 
     time_s: float
     cpu_s: float
     rays: int
     energy_j: StageEnergy
     energy_intervals_j: StageIntervals | None = None
+    specular_time_s: float = 0.0
+    specular_cpu_s: float = 0.0
 
 
 class WindowRecord(_Part):

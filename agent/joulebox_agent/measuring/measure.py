@@ -52,6 +52,7 @@ class Measurement:
     stop   ends it at once, with StoppedError
     leave  ends it as the time limit does with the windows that it has, or with the one under way if that is all that
            is missing for an answer; else as `stop`
+    companion  the name of a second source that is read along for calibration
     """
 
     def __init__(
@@ -67,10 +68,11 @@ class Measurement:
         charging: Charging | None = None,
         make_loop: LoopFactory = RendererLoop,
         leave: threading.Event | None = None,
+        companion: str | None = None,
     ) -> None:
         if not rule.meter:
-            choice = choose("none")
-        meter = make_meter(choice, sysfs_root, listener, stop, clock, lost_after_s, leave=leave)
+            choice, companion = choose("none"), None
+        meter = make_meter(choice, sysfs_root, listener, stop, clock, lost_after_s, companion, leave)
         self._session = Session([Configuration(job)], rule, meter, charging=charging, make_loop=make_loop)
 
     @property
