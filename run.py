@@ -220,6 +220,8 @@ TASKS = {
                                  "tests/fleet/test_faults.py::test_two_hundred_faults")),
     "test-load": Task("what the server bears: 50 agents for a minute, beside a bare writer; the dashboard's queries",
                       lambda *arguments: call(program("python"), "tests/fleet/load.py", *arguments)),
+    "test-compose": Task("docker-compose.yml brought up with podman, its two agents completing a sweep (root, Linux)",
+                         lambda *arguments: call(program("python"), "tests/fleet/compose.py", *arguments)),
     "lint": Task("ruff", lambda *arguments: call(program("ruff"), "check", *(arguments or (".",)))),
     "types": Task("mypy --strict on our packages", types),
     "walls": Task("import-linter: who may import whom", lambda *_: call(program("lint-imports"))),
