@@ -27,9 +27,9 @@ class Question:
     limit: float
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=64)
 def found_by(campaign: Campaign) -> tuple[Tradeoff, Known]:
-    """Built once for all questions to a campaign."""
+    """Built once for all questions to a campaign; a proof has 60 of them."""
     tradeoff = campaign.tradeoff()
     return tradeoff, candidates(tradeoff, "energy_j")
 
