@@ -12,6 +12,7 @@ from joulebox_agent.estimates.estimate import (
 )
 from joulebox_agent.estimates.windows import Window, stage_energies_j
 from joulebox_agent.loop import ImageEvent, StageEvent
+from joulebox_agent.measuring.stages import StageEvidence, stage_records
 from joulebox_agent.sampling.sampler import Sample
 from joulebox_agent.sampling.series import PowerSeries
 from joulebox_agent.sources.none import NoSource
@@ -90,6 +91,25 @@ def test_equation_2_shares_a_window_by_time() -> None:
     assert shares["direct"] == pytest.approx(20.0 * 2.6)
     assert shares["indirect"] == pytest.approx(20.0 * 1.0)
     assert sum(shares.values()) < 76.0  # the gap between the images keeps its own
+
+
+def test_a_stage_tells_what_of_it_is_seen_through_mirrors() -> None:
+    """Two images a window: direct twice 0.5 s, of which 0.2 s through a mirror; indirect none."""
+    window = Window(0.0)
+    for k in range(2):
+        image = ImageEvent(event="image", image=k, start_s=2.0 * k, end_s=2.0 * k + 1, time_s=1.0, cpu_s=2.0,
+                           pixel_sha256="a")  # fmt: skip
+        stages = [
+            StageEvent(event="stage", image=k, name="direct", start_s=0.0, end_s=0.3, cpu_s=0.6),
+            StageEvent(event="stage", image=k, name="indirect", start_s=0.3, end_s=0.8, cpu_s=1.0),
+            StageEvent(event="stage", image=k, name="direct", start_s=0.8, end_s=1.0, cpu_s=0.4, through_specular=True),
+        ]
+        window.add(image, stages)
+    records = stage_records(StageEvidence([window], [None], pilot_count=1))
+    direct, indirect = records["direct"], records["indirect"]
+    assert (direct.time_s, direct.cpu_s) == (pytest.approx(0.5), pytest.approx(1.0))
+    assert (direct.specular_time_s, direct.specular_cpu_s) == (pytest.approx(0.2), pytest.approx(0.4))
+    assert (indirect.specular_time_s, indirect.specular_cpu_s) == (0.0, 0.0)
 
 
 def test_no_source_has_no_energy() -> None:

@@ -52,7 +52,7 @@ class Finding:
     value, unit   the number that the rule looks at, with its interval; None where nothing could be said
     verdict       of the rule
     words         ours, in a sentence
-    why           of a `fails` or `unclear`: the method, the hardware, or a fault of ours; see `Claim.explanation`
+    why           of an `unclear` one: what keeps it from being judged, where that is not its interval
     """
 
     value: Interval | None
@@ -73,7 +73,7 @@ class Claim:
     judge          the rule as a pure function
     about_energy   the statement says something that a time basis would make true by construction: `unclear` there
     replayed       rests on a replayed discharge, whatever the rest of the run rests on
-    explanation    why it does not hold, once examined; shown when the verdict is `fails` or `unclear`
+    explanation    why it does not hold, once examined: the method, the hardware, or a fault of ours
     """
 
     id: str

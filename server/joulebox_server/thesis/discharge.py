@@ -9,10 +9,9 @@ from joulebox_server.cli.connection import CommandError, Connection
 from joulebox_server.thesis.rows import Row
 
 FILE = "discharge.json"
-REFRESH_S = 0.1
-REPLAY = ("--source", f"replay@{REFRESH_S}", "--window-s", "3", "--min-windows", "3", "--max-windows", "3",
+REPLAY = ("--source", "replay", "--window-s", "9", "--min-windows", "4", "--max-windows", "4",
           "--set", "width=64", "--set", "height=64")  # fmt: skip
-"""A short stretch of the scripted trace, a refresh every 0.1 s instead of every 3 to 5 s."""
+"""Half a minute of the scripted trace, whose values change every 3 to 5 s as the thesis' gauge did."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +40,7 @@ def keep_replayed(folder: Path, agent: str, scene: Path) -> None:
         lines = done.stderr.strip().splitlines() or ["it wrote nothing"]
         raise CommandError(f"the discharge could not be replayed: {lines[-1]}")
     sha256 = json.loads(done.stdout)["power_samples"]
-    named = next(path for path in kept.iterdir() if sha256 in path.name or path.suffix == ".ndjson")
-    _keep(folder, "replayed", named.read_text(encoding="utf-8"))
+    _keep(folder, "replayed", (kept / f"{sha256}.ndjson").read_text(encoding="utf-8"))
 
 
 def keep_measured(folder: Path, connection: Connection, rows: list[Row]) -> None:

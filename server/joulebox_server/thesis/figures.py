@@ -121,7 +121,7 @@ def points(rows: Sequence[Row], x: str, y: str, series: str = "", *, log: bool =
     present = list(dict.fromkeys(row["series"] for row in shown))
     scale = alt.Scale(domain=present, range=[palette.CATEGORIES[k % 8] for k in range(len(present))])
     colour: Any = alt.Color("series:N", title=series or None, scale=scale, sort=present)
-    base, on = data(shown), _scale(log)
+    base, on = data(shown), alt.Scale(type="log", nice=False, padding=18) if log else alt.Scale(zero=True)
     y_point = alt.Y("y:Q", scale=on, axis=alt.Axis(title=y, format=",~r"))
     x_axis, y_axis = alt.Axis(title=x, format=",~r"), alt.Axis(title=y, format=",~r")
     told = [alt.Tooltip(f"{name}:N") for name in ("series", "label")]

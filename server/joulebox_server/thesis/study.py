@@ -119,8 +119,9 @@ class Study:
         for found in submitted.values():
             if found["state"] == "failed":
                 connection.request("POST", f"/sweeps/{found['id']}:retry-failed")
-        ended = follow.until_ended(connection, {name: str(found["id"]) for name, found in submitted.items()})
-        self._keep(connection, ended)
+        ids = {name: str(found["id"]) for name, found in submitted.items()}
+        # Kept as each ends, so that an interrupted study has a report too.
+        ended = follow.until_ended(connection, ids, lambda name: self._keep(connection, name, ids[name]))
         failed = {name: found for name, found in ended.items() if found["state"] != "done"}
         if failed:
             name, found = next(iter(failed.items()))
@@ -157,12 +158,11 @@ class Study:
 
     # --- rows ----------------------------------------------------------------------------------------------
 
-    def _keep(self, connection: Connection, sweeps: dict[str, dict[str, Any]]) -> None:
-        """Add the rows of sweeps to the folder; those of the same names are replaced."""
-        kept = [row for row in self.rows() if row.sweep not in sweeps]
-        for name, found in sweeps.items():
-            lines = connection.request("GET", f"/sweeps/{found['id']}/measurements").text.splitlines()
-            kept += [read_row(name, json.loads(line)) for line in lines]
+    def _keep(self, connection: Connection, name: str, sweep_id: str) -> None:
+        """Add the rows of a sweep to the folder; those of the same name are replaced."""
+        kept = [row for row in self.rows() if row.sweep != name]
+        lines = connection.request("GET", f"/sweeps/{sweep_id}/measurements").text.splitlines()
+        kept += [read_row(name, json.loads(line)) for line in lines]
         _write(self.folder / ROWS_FILE, "".join(json.dumps(asdict(row)) + "\n" for row in kept))
 
     @property
@@ -214,11 +214,18 @@ class Follower:
     def __init__(self, show: Callable[[int, int, str], None], check: Callable[[], None] = lambda: None) -> None:
         self._show, self._check = show, check
 
-    def until_ended(self, connection: Connection, sweeps: dict[str, str]) -> dict[str, dict[str, Any]]:
-        """The summaries of sweeps by name, once all have ended."""
+    def until_ended(
+        self, connection: Connection, sweeps: dict[str, str], on_end: Callable[[str], None]
+    ) -> dict[str, dict[str, Any]]:
+        """The summaries of sweeps by name, once all have ended; `on_end` is told the name of each as it does."""
+        told: set[str] = set()
         while True:
             summaries = self._asked(connection, set(sweeps.values()))
             found = {name: summaries[sweep_id] for name, sweep_id in sweeps.items()}
+            for name in sweeps:
+                if found[name]["state"] in ENDED and name not in told:
+                    on_end(name)
+                    told.add(name)
             doing = next((name for name, s in found.items() if s["jobs"]["leased"]), "")
             waiting = next((name for name, s in found.items() if s["state"] not in ENDED), "")
             self._show(

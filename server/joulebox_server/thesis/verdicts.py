@@ -7,6 +7,7 @@ from joulebox_server.thesis.batch import Claim, Finding
 from joulebox_server.thesis.results import MissingError, Results
 
 BY_CONSTRUCTION = "on a time basis this is true by construction, so it says nothing"
+UNDECIDED = "the interval reaches over a bound of the rule; more renders, on a quieter machine, decide it"
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,11 @@ class Judged:
     @property
     def why(self) -> str:
         """Why it does not hold; nothing where it does."""
-        return "" if self.finding.verdict == "holds" else self.finding.why or self.claim.explanation
+        if self.finding.verdict == "holds":
+            return ""
+        if self.finding.verdict == "unclear":
+            return self.finding.why or UNDECIDED
+        return self.finding.why or self.claim.explanation
 
 
 def judge(claim: Claim, results: Results) -> Judged:
