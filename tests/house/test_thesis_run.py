@@ -40,7 +40,7 @@ TINY_BATCH = Batch("tiny", "Tiny", "Two pictures.", sweeps, dv.FIGURES[4:5], ())
 
 def run(folder: Path, scenes: Path, show=lambda done, total, doing: None) -> Study:
     """The tiny batch in a folder, to its end."""
-    study = Study.opened(folder, quick=True, server=None, device=None)
+    study = Study.opened(folder, quick=True)
     with Local(folder, 1, "none") as local:
         study.run([TINY_BATCH], local.connection, scenes, Follower(show, local.check))
     return study
@@ -99,19 +99,17 @@ def test_a_server_that_dies_is_a_sentence(root: Path, tmp_path: Path) -> None:
 def test_a_folder_of_something_else_is_left_alone(tmp_path: Path, content: str, sentence: str) -> None:
     (tmp_path / content).write_text("mine")
     with pytest.raises(WrongUseError, match=sentence):
-        Study.opened(tmp_path, quick=True, server=None, device=None)
+        Study.opened(tmp_path, quick=True)
     assert [path.name for path in tmp_path.iterdir()] == [content]
 
 
 def test_a_study_goes_on_as_it_began(tmp_path: Path) -> None:
-    first = Study.opened(tmp_path / "out", quick=True, server=None, device=None)
-    assert (
-        Study.opened(tmp_path / "out", quick=True, server=None, device=None) == first == Study.found(tmp_path / "out")
-    )
+    first = Study.opened(tmp_path / "out", quick=True)
+    assert Study.opened(tmp_path / "out", quick=True) == first == Study.found(tmp_path / "out")
     with pytest.raises(WrongUseError, match="was started with --quick; go on with the same"):
-        Study.opened(tmp_path / "out", quick=False, server=None, device=None)
+        Study.opened(tmp_path / "out", quick=False)
     with pytest.raises(WrongUseError, match="was started without --server; go on"):
-        Study.opened(tmp_path / "out", quick=True, server="http://127.0.0.1:1", device=None)
+        Study.opened(tmp_path / "out", quick=True, server="http://127.0.0.1:1")
     with pytest.raises(WrongUseError, match="holds no study; run"):
         Study.found(tmp_path / "other")
 

@@ -19,7 +19,7 @@ def invented(
     batch: Batch,
     cost: World,
     difference: World,
-    noise: float = 0.002,
+    noise: float = 0.001,
     basis: str = "measured",
     defaults: Mapping[str, Any] | None = None,
 ) -> Results:
@@ -30,7 +30,7 @@ def invented(
     noise        control runs and seeds are alternately this much (of a logarithm) above and below
     defaults     of the renderer, for settings that the sweeps do not name
     """
-    study = Study(None, "", True, None, None)  # type: ignore[arg-type]
+    study = Study(None, "", True, None, None, False)  # type: ignore[arg-type]
     rows = [
         row
         for sweep in batch.sweeps(Plan(quick=True))

@@ -159,7 +159,7 @@ CLAIMS = {claim.id: (name, claim) for name in WORLDS for claim in WORLDS[name][0
 SEEN_OTHERWISE = {"fig22", "fig29"}
 
 
-def verdict(claim_id, fault=None, noise=0.002, basis="measured"):
+def verdict(claim_id, fault=None, noise=0.001, basis="measured"):
     name, claim = CLAIMS[claim_id]
     batch, cost, difference = WORLDS[name]
     if fault is not None:

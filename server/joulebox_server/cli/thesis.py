@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from joulebox_server.cli.connection import JsonOption, TokenOption, WrongUseError, connect
+from joulebox_server.cli.connection import JsonOption, TokenOption, connect
 from joulebox_server.cli.output import print_json
 
 if TYPE_CHECKING:
@@ -31,10 +31,10 @@ def thesis(
     quick: Annotated[
         bool, typer.Option("--quick", help="One render a configuration, CPU seconds instead of joules.")
     ] = False,
-    device: Annotated[str | None, typer.Option(help="Device of the server that renders; needs --server.")] = None,
+    device: Annotated[str | None, typer.Option(help="Device of the server that renders.")] = None,
     server: Annotated[
         str | None,
-        typer.Option(help="Server with devices of its own.", show_default="one started here, with this machine"),
+        typer.Option(help="Server with devices of its own.", show_default="one started here for this machine"),
     ] = None,
     token: TokenOption = None,
     scenes: Annotated[
@@ -49,15 +49,16 @@ def thesis(
     """Do the study again that this project grew from: its figures, and which of its claims hold on this device."""
     # Here, because what draws charts takes seconds to import and the other commands need none of it.
     from joulebox_server.thesis import catalogue, evaluation
+    from joulebox_server.thesis.local import energy_source
     from joulebox_server.thesis.study import Study
 
     chosen = catalogue.chosen(batch)
     if device is not None and server is None:
-        raise WrongUseError("--device names a device of --server; without one, this machine renders")
+        server = connect(None, token).url  # a device's name means a server that runs
     if report_only:
         study = Study.found(out)
     else:
-        study = Study.opened(out, quick, server, device)
+        study = Study.opened(out, quick, server, device, lambda: server is not None or energy_source() is not None)
         with _ended_by_signals():
             _run(study, chosen, token, scenes, quiet=as_json)
     written = evaluation.write(study, chosen, markdown)
@@ -69,7 +70,7 @@ def thesis(
 
 def _run(study: "Study", chosen: "list[Batch]", token: str | None, scenes: Path | None, *, quiet: bool) -> None:
     from joulebox_server.thesis import discharge
-    from joulebox_server.thesis.local import Local, agent_program, energy_source
+    from joulebox_server.thesis.local import Local, agent_program
     from joulebox_server.thesis.pages import tiles_of
     from joulebox_server.thesis.study import Follower, scene_folder
 
@@ -79,12 +80,14 @@ def _run(study: "Study", chosen: "list[Batch]", token: str | None, scenes: Path 
         if study.server is not None:
             connection, check = connect(study.server, token), lambda: None
         else:
-            source = None if study.quick else energy_source()
             agents = min(MOST_AGENTS, _cores()) if study.quick else 1
-            if not study.quick and source is None:
-                typer.echo("This machine can measure no energy now, so the study rests on time.", err=True)
-            local = stack.enter_context(Local(study.folder, agents, "auto" if source else "none"))
+            if not study.quick and not study.metered:
+                typer.echo("This machine can measure no energy, so the study rests on time.", err=True)
+            local = stack.enter_context(Local(study.folder, agents, "auto" if study.metered else "none"))
             connection, check = local.connection, local.check
+        if not study.quick and not quiet:
+            low_s, high_s = study.expected_s(chosen, connection)
+            typer.echo(f"about {low_s / 3600:.1f} to {high_s / 3600:.1f} hours on one device", err=True)
         study.run(chosen, connection, folder, Follower(show, check))
         if study.results().basis == "measured":
             discharge.keep_measured(study.folder, connection, study.rows())

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from joulebox_server.reports.document import Table
 from joulebox_server.thesis.batch import Batch
-from joulebox_server.thesis.pages import RATED, claims_table, floors_told, ratings_table
+from joulebox_server.thesis.pages import RATED, advised, claims_table, floors_told, ratings_table
 from joulebox_server.thesis.results import Results
 from joulebox_server.thesis.told import how_told
 from joulebox_server.thesis.verdicts import Judged
@@ -24,9 +24,7 @@ def claims_page(results: Results, batches: Sequence[Batch], judged: Mapping[str,
     """The page of a run, as Markdown."""
     everything = [one for batch in batches for one in judged[batch.name]]
     parts = [HEAD, "## How this run was made\n", _points(how_told(results))]
-    advice = [word for batch in batches for word in batch.advice(results)]
-    if advice:
-        parts += ["## What to set\n", _points(advice)]
+    parts += ["## What to set\n", _points(advised(results, batches))]
     parts += ["## Claims\n", _table(claims_table(everything))]
     unmet = [one for one in everything if one.finding.verdict != "holds"]
     if unmet:

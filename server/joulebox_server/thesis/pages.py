@@ -1,5 +1,6 @@
 """The study's report: what to set, the table of claims, and each batch with its figures and rules."""
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -33,7 +34,7 @@ def report_of(
     everything = [one for batch in batches for one in judged[batch.name]]
     rated = ratings_table(results, batches)
     sections = [
-        Section("What to set", "advice", [Points([word for batch in batches for word in batch.advice(results)])]),
+        Section("What to set", "advice", [Points(advised(results, batches))]),
         Section("Claims", "claims", [Words(_count(everything), "lede"), claims_table(everything)]),
         *([Section("Ratings of the settings", "ratings", [Words(RATED), rated])] if rated else []),
         *(_batch_section(pictures, results, batch, judged[batch.name]) for batch in batches),
@@ -137,6 +138,15 @@ def floors_told(results: Results, batch: Batch) -> list[str]:
                     f"{told(reference.cost, results.unit)}."
                 )
     return sentences
+
+
+def advised(results: Results, batches: Sequence[Batch]) -> list[str]:
+    """What the batches advise to set; one whose points are not all there advises nothing."""
+    sentences: list[str] = []
+    for batch in batches:
+        with contextlib.suppress(MissingError):
+            sentences += batch.advice(results)
+    return sentences or ["The results of this run do not tell yet."]
 
 
 def _count(judged: Sequence[Judged]) -> str:

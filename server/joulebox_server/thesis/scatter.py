@@ -15,7 +15,8 @@ from joulebox_server.analysis.intervals import Interval, exactly
 from joulebox_server.analysis.scatter import factor
 from joulebox_server.thesis.rows import CostBasis, Row, configuration_key
 
-CONFIDENCE = 0.95
+CONFIDENCE = 0.99
+"""Of every interval of the study: a claim looks at up to a dozen of them at once."""
 SEEDS = "-seeds"
 """End of the names of sweeps that render a few ordinary settings with several seeds."""
 SMALLEST_STAGE = 0.02

@@ -24,22 +24,25 @@ EXPOSURE = 3.0
 QUICK_CONTROLS = 3
 FULL_REPEATS = 3
 TIMED = {"window_s": 1.0, "min_windows": 1, "max_windows": 1, "meter": "none"}
+TIMED_AGAIN = {"window_s": 5.0, "min_windows": 3, "max_windows": 3, "max_seconds": 1800.0}
 METERED = {"window_s": 60.0, "min_windows": 3, "max_windows": 10, "max_seconds": 1800.0}
+"""Of a quick run, of a full one where nothing can be metered, and of a full one."""
 ENDED = ("done", "failed", "cancelled")
-POLL_S = 1.0
+POLL_S = 2.0
 PATIENCE = 20
 """So many unanswered questions in a row before the server is given up: it may be restarting."""
 
 
 @dataclass(frozen=True)
 class Study:
-    """What a folder holds: one run, quick or full, on one server."""
+    """What a folder holds: one run, quick or full, on one server; `metered` unless nothing could meter at its start."""
 
     folder: Path
     id: str
     quick: bool
     server: str | None
     device: str | None
+    metered: bool
 
     @property
     def plan(self) -> Plan:
@@ -47,8 +50,15 @@ class Study:
         return Plan(self.quick)
 
     @classmethod
-    def opened(cls, folder: Path, quick: bool, server: str | None, device: str | None) -> "Study":
-        """The study in a folder, a new one in an empty or new folder.
+    def opened(
+        cls,
+        folder: Path,
+        quick: bool,
+        server: str | None = None,
+        device: str | None = None,
+        can_meter: Callable[[], bool] = lambda: True,
+    ) -> "Study":
+        """The study in a folder, a new one in an empty or new folder. `can_meter` is asked for a new one that is full.
 
         Raises WrongUseError for a folder that cannot be written, holds something else, or a study of another kind.
         """
@@ -58,7 +68,13 @@ class Study:
             if known is None:
                 if any(folder.iterdir()):
                     raise WrongUseError(f"{folder} is not empty and holds no study; give a new folder with -o")
-                known = {"id": str(uuid.uuid4()), "quick": quick, "server": server, "device": device}
+                known = {
+                    "id": str(uuid.uuid4()),
+                    "quick": quick,
+                    "server": server,
+                    "device": device,
+                    "metered": not quick and can_meter(),
+                }
                 _write(folder / STUDY_FILE, json.dumps(known, indent=1) + "\n")
         except OSError as error:
             raise WrongUseError(f"{error.filename or folder} cannot be used: {error.strerror}") from None
@@ -103,14 +119,27 @@ class Study:
         for found in submitted.values():
             if found["state"] == "failed":
                 connection.request("POST", f"/sweeps/{found['id']}:retry-failed")
-        ended = follow.until_ended(connection, {name: str(found["id"]) for name, found in submitted.items()})
-        self._keep(connection, ended)
+        ids = {name: str(found["id"]) for name, found in submitted.items()}
+        # Kept as each ends, so that an interrupted study has a report too.
+        ended = follow.until_ended(connection, ids, lambda name: self._keep(connection, name, ids[name]))
         failed = {name: found for name, found in ended.items() if found["state"] != "done"}
         if failed:
             name, found = next(iter(failed.items()))
             jobs = connection.json("GET", f"/sweeps/{found['id']}/jobs", params={"limit": 200})["items"]
             why = next((job["reason"] for job in jobs if job["state"] == "failed"), found["state"])
-            raise CommandError(f"{len(failed)} sweeps did not end well, {name} because {why}; run again to retry")
+            raise CommandError(
+                f"{len(failed)} sweeps did not end well, {name} because {why}; the same command tries again, and "
+                "--report-only writes the report of the rest"
+            )
+
+    def expected_s(self, batches: Sequence[Batch], connection: Connection) -> tuple[float, float]:
+        """How long the batches take one device, at least and at most [s], by the server's previews."""
+        low_s = high_s = 0.0
+        for batch in batches:
+            for sweep in batch.sweeps(self.plan):
+                time_s = connection.json("POST", "/sweeps:preview", json=self.definition(sweep))["time_s"]
+                low_s, high_s = low_s + time_s["low"], high_s + time_s["high"]
+        return low_s, high_s
 
     def definition(self, sweep: Sweep) -> dict[str, Any]:
         """A batch's sweep with what is the same for all: seeds, exposure, repeats, how to measure, on what."""
@@ -118,7 +147,7 @@ class Study:
             "exposure": EXPOSURE,
             "repeats": 1 if self.quick else FULL_REPEATS,
             "controls": QUICK_CONTROLS if self.quick else 1,
-            "measure": TIMED if self.quick else METERED,
+            "measure": TIMED if self.quick else METERED if self.metered else TIMED_AGAIN,
         }
         settings = ({"threads": 1} if self.quick else {}) | sweep.get("settings", {})
         reference = {"seed_policy": "same"} | sweep.get("reference", {})
@@ -129,12 +158,11 @@ class Study:
 
     # --- rows ----------------------------------------------------------------------------------------------
 
-    def _keep(self, connection: Connection, sweeps: dict[str, dict[str, Any]]) -> None:
-        """Add the rows of sweeps to the folder; those of the same names are replaced."""
-        kept = [row for row in self.rows() if row.sweep not in sweeps]
-        for name, found in sweeps.items():
-            lines = connection.request("GET", f"/sweeps/{found['id']}/measurements").text.splitlines()
-            kept += [read_row(name, json.loads(line)) for line in lines]
+    def _keep(self, connection: Connection, name: str, sweep_id: str) -> None:
+        """Add the rows of a sweep to the folder; those of the same name are replaced."""
+        kept = [row for row in self.rows() if row.sweep != name]
+        lines = connection.request("GET", f"/sweeps/{sweep_id}/measurements").text.splitlines()
+        kept += [read_row(name, json.loads(line)) for line in lines]
         _write(self.folder / ROWS_FILE, "".join(json.dumps(asdict(row)) + "\n" for row in kept))
 
     @property
@@ -186,13 +214,18 @@ class Follower:
     def __init__(self, show: Callable[[int, int, str], None], check: Callable[[], None] = lambda: None) -> None:
         self._show, self._check = show, check
 
-    def until_ended(self, connection: Connection, sweeps: dict[str, str]) -> dict[str, dict[str, Any]]:
-        """The summaries of sweeps by name, once all have ended."""
-        found: dict[str, dict[str, Any]] = {}
+    def until_ended(
+        self, connection: Connection, sweeps: dict[str, str], on_end: Callable[[str], None]
+    ) -> dict[str, dict[str, Any]]:
+        """The summaries of sweeps by name, once all have ended; `on_end` is told the name of each as it does."""
+        told: set[str] = set()
         while True:
-            for name, sweep_id in sweeps.items():
-                if name not in found or found[name]["state"] not in ENDED:
-                    found[name] = self._asked(connection, sweep_id)
+            summaries = self._asked(connection, set(sweeps.values()))
+            found = {name: summaries[sweep_id] for name, sweep_id in sweeps.items()}
+            for name in sweeps:
+                if found[name]["state"] in ENDED and name not in told:
+                    on_end(name)
+                    told.add(name)
             doing = next((name for name, s in found.items() if s["jobs"]["leased"]), "")
             waiting = next((name for name, s in found.items() if s["state"] not in ENDED), "")
             self._show(
@@ -204,14 +237,30 @@ class Follower:
                 return found
             time.sleep(POLL_S)
 
-    def _asked(self, connection: Connection, sweep_id: str) -> dict[str, Any]:
+    def _asked(self, connection: Connection, wanted: set[str]) -> dict[str, dict[str, Any]]:
+        """Summaries by id. Raises CommandError for a sweep that is gone, UnreachableError for a server that is."""
         for _ in range(PATIENCE - 1):
             self._check()
             try:
-                return dict(connection.json("GET", f"/sweeps/{sweep_id}"))
+                return _summaries(connection, wanted)
             except UnreachableError:
                 time.sleep(POLL_S)
-        return dict(connection.json("GET", f"/sweeps/{sweep_id}"))
+        return _summaries(connection, wanted)
+
+
+def _summaries(connection: Connection, wanted: set[str]) -> dict[str, dict[str, Any]]:
+    """From the list, newest first: one question in place of one a sweep, every time."""
+    found: dict[str, dict[str, Any]] = {}
+    cursor: dict[str, str] = {}
+    with connection.opened() as client:
+        while True:
+            page = checked(client.get("/v1/sweeps", params={"limit": 200, **cursor})).json()
+            found |= {sweep["id"]: sweep for sweep in page["items"] if sweep["id"] in wanted}
+            if len(found) == len(wanted):
+                return found
+            if page["next"] is None:
+                raise CommandError("a sweep of this study was deleted from the server; start again in a new folder")
+            cursor = {"cursor": page["next"]}
 
 
 def scene_folder(given: Path | None) -> Path:
@@ -229,7 +278,7 @@ def _known(folder: Path) -> dict[str, Any] | None:
         if not path.is_file():
             return None
         known = json.loads(path.read_text(encoding="utf-8"))
-        return {name: known[name] for name in ("id", "quick", "server", "device")}
+        return {name: known[name] for name in ("id", "quick", "server", "device", "metered")}
     except OSError as error:
         raise WrongUseError(f"{path} cannot be read: {error.strerror}") from None
     except (ValueError, KeyError, TypeError):

@@ -25,11 +25,11 @@ def how_told(results: Results) -> list[str]:
         )
         if spread is not None
     ]
-    many = "Where a configuration has three renders or more, its interval is Student's t over them. "
+    many = "Where a configuration has three renders or more, its 99 % interval is Student's t over them. "
     if parts:
         told.append(
             many + "Where it has one, the scatter of everything in this run that was rendered more than once (control "
-            f"runs, seeds) tells how far it may be off with 95 % confidence: {', '.join(parts)}."
+            f"runs, seeds) tells how far it may be off with 99 % confidence: {', '.join(parts)}."
         )
     else:
         told.append(many + "Nothing else was rendered twice, so other intervals have no width and say nothing.")
