@@ -9,9 +9,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from joulebox_agent.conditions import Conditions, other_cpu_share, read_conditions
-from joulebox_agent.resolution import window_s_for_share
-from joulebox_agent.sampler import Sample, Sampler
-from joulebox_agent.series import PowerSeries
+from joulebox_agent.estimates.resolution import window_s_for_share
+from joulebox_agent.sampling.sampler import Sample, Sampler
+from joulebox_agent.sampling.series import PowerSeries
 from joulebox_agent.sources.choose import COUNTER, GAUGE, auto_names
 from joulebox_agent.sources.reading import EnergySource, SourceReport
 from joulebox_agent.sources.survey import Row, survey

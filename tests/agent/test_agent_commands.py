@@ -14,8 +14,8 @@ import joulebox_agent.cli.fleet as commands
 import pytest
 from agent_testing import RENDERER
 from fake_fleet import TOKEN, FakeFleet
-from joulebox_agent.server import Server
-from joulebox_agent.state import Enrolment, StateDir
+from joulebox_agent.fleet.server import Server
+from joulebox_agent.fleet.state import Enrolment, StateDir
 
 Agent = Callable[..., tuple[int, str, str]]
 

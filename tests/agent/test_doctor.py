@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from agent_testing import DATA
 from joulebox_agent.doctor import _discharge, filled
-from joulebox_agent.resolution import window_s_for_share
-from joulebox_agent.sampler import Sample
+from joulebox_agent.estimates.resolution import window_s_for_share
+from joulebox_agent.sampling.sampler import Sample
 from joulebox_agent.sources.battery_counter import BatteryCounter
 from joulebox_agent.sources.battery_gauge import BatteryGauge
 from joulebox_agent.sources.reading import Reading

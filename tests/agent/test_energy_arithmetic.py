@@ -2,21 +2,21 @@
 
 import numpy as np
 import pytest
-from joulebox_agent.energies import idle_power, window_energies
-from joulebox_agent.estimate import (
+from joulebox_agent.estimates.energies import idle_power, window_energies
+from joulebox_agent.estimates.estimate import (
     Interval,
     net_of_idle,
     t_quantile,
     two_stage_interval,
     windows_needed,
 )
+from joulebox_agent.estimates.windows import Window, WindowSplitter, stage_energies_j
 from joulebox_agent.loop import ImageEvent, StageEvent
-from joulebox_agent.sampler import Sample
-from joulebox_agent.series import PowerSeries
+from joulebox_agent.sampling.sampler import Sample
+from joulebox_agent.sampling.series import PowerSeries
 from joulebox_agent.sources.none import NoSource
 from joulebox_agent.sources.reading import Reading
 from joulebox_agent.sources.replay import Replay, bundled_trace
-from joulebox_agent.windows import Window, WindowSplitter, stage_energies_j
 
 GAUGE = Replay(bundled_trace())
 

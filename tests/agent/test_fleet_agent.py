@@ -13,11 +13,11 @@ import httpx2
 import pytest
 from agent_testing import DATA, FAKE_COMMAND
 from fake_fleet import TOKEN, FakeFleet, scene_zip
-from joulebox_agent.daemon import Daemon, RunOptions
 from joulebox_agent.errors import AgentError, ServerUnreachableError, TokenRejectedError
-from joulebox_agent.progress import Lines
-from joulebox_agent.server import Server
-from joulebox_agent.state import StateDir
+from joulebox_agent.fleet.daemon import Daemon, RunOptions
+from joulebox_agent.fleet.server import Server
+from joulebox_agent.fleet.state import StateDir
+from joulebox_agent.measuring.progress import Lines
 
 FAST: dict[str, Any] = {"source": "replay@0.05", "wait_s": 0.0, "pause_s": 0.01, "longest_pause_s": 0.05}
 
@@ -214,7 +214,7 @@ def test_a_refused_result_that_cannot_be_set_aside_holds_new_jobs(
 
 
 def test_little_room_holds_new_jobs(state: StateDir, fleet: FakeFleet, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("joulebox_agent.spool.ROOM_WANTED_BYTES", 2**60)
+    monkeypatch.setattr("joulebox_agent.fleet.spool.ROOM_WANTED_BYTES", 2**60)
     fleet.add_job(1, fleet.add_scene())
     bench = Bench(state, fleet, idle_exit_s=0.2)
     bench.daemon.run()

@@ -4,14 +4,14 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from joulebox_agent.energies import idle_power, integrated_stage_energies, window_energies
-from joulebox_agent.faults import stretch_fault
-from joulebox_agent.lag import fit_lag
-from joulebox_agent.sampler import Sample
-from joulebox_agent.series import PowerSeries
+from joulebox_agent.estimates.energies import idle_power, integrated_stage_energies, window_energies
+from joulebox_agent.estimates.windows import Window
+from joulebox_agent.sampling.faults import stretch_fault
+from joulebox_agent.sampling.lag import fit_lag
+from joulebox_agent.sampling.sampler import Sample
+from joulebox_agent.sampling.series import PowerSeries
 from joulebox_agent.sources.reading import Reading
 from joulebox_agent.sources.replay import Replay, bundled_trace
-from joulebox_agent.windows import Window
 
 GAUGE = Replay(bundled_trace())
 RNG = np.random.default_rng

@@ -10,10 +10,10 @@ import pytest
 from fake_fleet import TOKEN, FakeFleet
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from joulebox_agent.delivery import Delivery
 from joulebox_agent.errors import ServerUnreachableError, SpoolFullError, TokenRejectedError
-from joulebox_agent.server import Server
-from joulebox_agent.spool import BadEntryError, Entry, Spool
+from joulebox_agent.fleet.delivery import Delivery
+from joulebox_agent.fleet.server import Server
+from joulebox_agent.fleet.spool import BadEntryError, Entry, Spool
 
 PICTURE, SAMPLES = b"picture", b'{"time_s": 0}\n'
 BLOBS = {hashlib.sha256(content).hexdigest(): content for content in (PICTURE, SAMPLES)}

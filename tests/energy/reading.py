@@ -11,16 +11,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from joulebox_agent.energies import IDLE_PIECES, WindowEnergies, idle_power, window_energies
-from joulebox_agent.estimate import Interval, net_of_idle, two_stage_interval, windows_needed
+from joulebox_agent.estimates.energies import IDLE_PIECES, WindowEnergies, idle_power, window_energies
+from joulebox_agent.estimates.estimate import Interval, net_of_idle, two_stage_interval, windows_needed
+from joulebox_agent.estimates.windows import Window, WindowSplitter
 from joulebox_agent.loop import ImageEvent, StageEvent
-from joulebox_agent.sampler import Sampler
-from joulebox_agent.series import PowerSeries
+from joulebox_agent.sampling.sampler import Sampler
+from joulebox_agent.sampling.series import PowerSeries
 from joulebox_agent.sources.battery_counter import PackCounter
 from joulebox_agent.sources.battery_gauge import PackGauge
 from joulebox_agent.sources.power_supply import PowerSupplyClass
 from joulebox_agent.sources.sysfs import Sysfs
-from joulebox_agent.windows import Window, WindowSplitter
 
 from .discharge import Discharge, Gauge, Image, Machine, gauge_updates, script
 

@@ -22,11 +22,11 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import uvicorn
-from joulebox_agent import spool as agent_spool
-from joulebox_agent.delivery import Delivery
 from joulebox_agent.errors import ServerRefusedError, ServerUnreachableError
-from joulebox_agent.server import Server as Client
-from joulebox_agent.spool import Entry, Spool
+from joulebox_agent.fleet import spool as agent_spool
+from joulebox_agent.fleet.delivery import Delivery
+from joulebox_agent.fleet.server import Server as Client
+from joulebox_agent.fleet.spool import Entry, Spool
 from joulebox_server.app import create_app
 from joulebox_server.settings import ServerSettings
 from joulebox_server.store import blobs as stored_blobs

@@ -13,15 +13,15 @@ import platformdirs
 import stamina.instrumentation
 import typer
 
-from joulebox_agent.charging import Band
-from joulebox_agent.daemon import Daemon, RunOptions
 from joulebox_agent.errors import UsageError
+from joulebox_agent.fleet.daemon import Daemon, RunOptions
+from joulebox_agent.fleet.server import Server
+from joulebox_agent.fleet.spool import Spool
+from joulebox_agent.fleet.state import Enrolment, StateDir, boot_id
 from joulebox_agent.loop import renderer_command
-from joulebox_agent.progress import shown_progress
-from joulebox_agent.server import Server
+from joulebox_agent.measuring.charging import Band
+from joulebox_agent.measuring.progress import shown_progress
 from joulebox_agent.sources.choose import choose
-from joulebox_agent.spool import Spool
-from joulebox_agent.state import Enrolment, StateDir, boot_id
 
 StateOption = Annotated[Path | None, typer.Option(help="Folder for token, spool and scenes.")]
 

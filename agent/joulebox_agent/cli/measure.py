@@ -11,23 +11,23 @@ from typing import Annotated, Any
 import platformdirs
 import typer
 
-from joulebox_agent.blocks import Order
-from joulebox_agent.calibrating import calibration_for, companion_of
-from joulebox_agent.charging import Band, Charging, Forecast
 from joulebox_agent.cli.report import VoidMeasurementError, deliver, summary
-from joulebox_agent.configurations import Entry, read_configurations
 from joulebox_agent.errors import AgentError, UsageError
-from joulebox_agent.journal import Journal
 from joulebox_agent.loop import renderer_command
-from joulebox_agent.measure import make_meter
-from joulebox_agent.meter import Listener
-from joulebox_agent.progress import shown_progress
-from joulebox_agent.result import build_result
-from joulebox_agent.rule import MeasureRule, make_rule
-from joulebox_agent.session import Configuration, Course, Session
-from joulebox_agent.several import build_results, void_everywhere
+from joulebox_agent.measuring.blocks import Order
+from joulebox_agent.measuring.calibrating import calibration_for, companion_of
+from joulebox_agent.measuring.charging import Band, Charging, Forecast
+from joulebox_agent.measuring.configurations import Entry, read_configurations
+from joulebox_agent.measuring.journal import Journal
+from joulebox_agent.measuring.measure import make_meter
+from joulebox_agent.measuring.meter import Listener
+from joulebox_agent.measuring.progress import shown_progress
+from joulebox_agent.measuring.result import build_result
+from joulebox_agent.measuring.rule import MeasureRule, make_rule
+from joulebox_agent.measuring.session import Configuration, Course, Session
+from joulebox_agent.measuring.several import build_results, void_everywhere
+from joulebox_agent.measuring.visit import Job
 from joulebox_agent.sources.choose import KNOWN, Choice, choose
-from joulebox_agent.visit import Job
 
 SOURCE_HELP = ", ".join(KNOWN) + "."
 BLOCK_IDLE_S = 60.0
@@ -229,13 +229,13 @@ def _check_plot(path: Path) -> None:
     """Before hours of measuring rather than after them."""
     if importlib.util.find_spec("altair") is None or importlib.util.find_spec("vl_convert") is None:
         raise UsageError("--plot needs what `pip install joulebox-agent[plot]` installs.")
-    from joulebox_agent.plot import plot_format
+    from joulebox_agent.measuring.plot import plot_format
 
     plot_format(path)
 
 
 def _draw(path: Path, session: Session, entries: list[Entry]) -> None:
-    from joulebox_agent.plot import power_chart, save_chart
+    from joulebox_agent.measuring.plot import power_chart, save_chart
 
     try:
         save_chart(power_chart(session.records, [entry.label for entry in entries]), path)
