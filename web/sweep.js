@@ -96,13 +96,17 @@ function tradeoffPath(kind, lines) {
 }
 
 let loads = 0;
+let underWay = null; // what a newer load makes pointless
 async function load(wanted) {
   const { view } = context;
   const turn = ++loads;
   stale = false;
+  underWay?.abort();
+  underWay = new AbortController();
+  const { signal } = underWay;
   const path = `/v1/sweeps/${encodeURIComponent(view.sweep)}`;
   const lines = loaded.head && loaded.sweep.id === view.sweep ? { limit: view.limit, budget: budget() } : { limit: view.limit };
-  const [sweep, text] = await Promise.all([getJson(path), getText(tradeoffPath("vl.json", lines))]);
+  const [sweep, text] = await Promise.all([getJson(path, { signal }), getText(tradeoffPath("vl.json", lines), { signal })]);
   const running = ["running", "paused"].includes(sweep.state);
   const [failed, progress] = await Promise.all([
     sweep.jobs.failed ? getItems(`${path}/jobs`).then((jobs) => jobs.filter((job) => job.state === "failed")) : [],
