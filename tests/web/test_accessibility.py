@@ -38,6 +38,7 @@ def serious_faults(page: Page) -> list[str]:
     ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
 @pytest.mark.parametrize("view", ["fleet", "sweep", "failed", "compare", "slider"])
 def test_axe_finds_no_serious_fault(browser: Browser, stored: Fleet, view: str, width: int, scheme: str) -> None:
@@ -50,6 +51,7 @@ def test_axe_finds_no_serious_fault(browser: Browser, stored: Fleet, view: str, 
         assert serious_faults(watched.page) == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("view", ["dialog", "new-sweep"])
 def test_axe_in_forms(browser: Browser, stored: Fleet, view: str) -> None:
     with opened(browser, stored.url, path="/#view=fleet" if view == "dialog" else "/") as watched:
