@@ -213,7 +213,8 @@ TASKS = {
     "test-long": Task("the long tests", lambda *arguments: pytest("-m", "long", *arguments)),
     "test-energy": Task("how often energy intervals hold a known truth, into docs/energy.md (--runs N, --only WORDS)",
                         lambda *arguments: call(program("python"), "-m", "tests.energy", *arguments)),
-    "test-web": Task("the tests of the pages", lambda *arguments: pytest("tests/web", *arguments)),
+    "test-web": Task("the tests of the pages in a browser, how soon 2,000 points are drawn among them",
+                     lambda *arguments: pytest("tests/web", "-m", "long or not long", *arguments)),
     "test-fleet": Task("the fleet's proofs: 200 rounds of random faults, any request, who may what (long)",
                        lambda *arguments: call(program("python"), "tests/fleet/faults.py", *arguments)
                        or pytest("tests/fleet", "-m", "long or not long", "--deselect",
@@ -237,7 +238,7 @@ TASKS = {
                            lambda *arguments: call(program("python"), "-m", "tests.recommend", *arguments)),
     "convergence": Task("error against every setting and against CPU time, drawn into docs/convergence.png",
                         lambda *arguments: call(program("python"), "-m", "tests.bench.convergence", *arguments)),
-    "screenshots": Task("pictures of the dashboard over test data, in .demo/screenshots (or FOLDER [--url URL])",
+    "screenshots": Task("pictures of the dashboard over recorded sweeps, in .demo/screenshots (or FOLDER [--url URL])",
                         lambda *arguments: call(program("python"), "tests/web/screenshots.py",
                                                 *(arguments or (".demo/screenshots",)))),
     "wheels": Task("the three wheels, in dist/", wheels),
