@@ -15,7 +15,7 @@ import numpy as np
 from joulebox_render.bvh import Bvh, Stack, grow_bvh
 from joulebox_render.errors import SettingsError
 from joulebox_render.kernels.bvh import closest_triangles, occluded_triangles
-from joulebox_render.kernels.surface import closest_analytic, merge_embree_hits, occluded_analytic
+from joulebox_render.kernels.surface import closest_analytic, occluded_analytic
 from joulebox_render.records import F4, U1, Hits
 from joulebox_render.tables import SceneTables
 
@@ -71,8 +71,8 @@ class Intersector:
         self._count(count)
         if self.embree is not None and count:
             answer = self.embree.run(origin, direction, query="INTERSECT", output=True)
-            distance, primitive = np.empty(count, np.float32), np.empty(count, np.int32)
-            merge_embree_hits(answer["tfar"], answer["primID"], distance, primitive, FAR)
+            distance, primitive = answer["tfar"], answer["primID"].astype(np.int32, copy=False)
+            np.copyto(distance, FAR, where=primitive < 0)
             u, v = answer["u"], answer["v"]
         else:
             distance, primitive = np.full(count, FAR, np.float32), np.full(count, -1, np.int32)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from joulebox_render.kernels.lighting import CLOSE
+from joulebox_render.kernels.close_lights import CLOSE
 from joulebox_render.records import DISK_LIGHT, ENVIRONMENT, F4, F8, I4, MESH_LIGHT, RECTANGLE_LIGHT, U1, Scene
 
 
@@ -15,7 +15,7 @@ class SceneTables(NamedTuple):
 
     mesh_area      (T,) f8  cumulative share of a mesh light's area up to each triangle, 0 elsewhere
     light_close    (L,) f8  distance from a flat light's position [m] within which points may be close to it, see
-                   kernels.lighting; 0 for lights that are never close
+                   kernels.close_lights; 0 for lights that are never close
     sky            (3,) f4  radiance of the environment, black where there is none
     epsilon        (1,) f8  distance by which ray origins leave a surface [m]
     """

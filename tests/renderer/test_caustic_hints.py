@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from joulebox_render.intersect import Intersector
-from joulebox_render.kernels.lighting import AIM_COLUMNS, AIM_ROWS, emit_photons
+from joulebox_render.kernels.emission import AIM_COLUMNS, AIM_ROWS, emit_photons
 from joulebox_render.kernels.rng import draw_2d, path_key
 from joulebox_render.records import GLASS, MIRROR, PHONG, Aim, Rays
 from joulebox_render.scene import load_scene

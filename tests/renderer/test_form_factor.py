@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from joulebox_render.kernels.lighting import emit_photons
+from joulebox_render.kernels.emission import emit_photons
 from joulebox_render.records import Rays
 from joulebox_render.stages.aim import aim_everywhere
 from joulebox_render.stages.precomputed import direct_irradiance

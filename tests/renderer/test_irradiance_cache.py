@@ -17,7 +17,6 @@ from joulebox_render.session import Image
 from joulebox_render.stages.eye import camera_frame, look
 from joulebox_render.stages.gather import NOT_BENT, aim_gather
 from joulebox_render.stages.irradiance_cache import (
-    LEAST_PIXELS,
     MOST_PIXELS,
     CacheRecords,
     IrradianceCache,
@@ -25,6 +24,7 @@ from joulebox_render.stages.irradiance_cache import (
     fill_cache,
     gather_records,
     index_records,
+    least_pixels,
 )
 
 Open = Callable[..., Any]
@@ -260,7 +260,7 @@ SMALL: dict[str, Any] = {
 @pytest.mark.parametrize("scene", ["cornell-boxes", "cornell-spheres", "caustic-ring"])
 @pytest.mark.parametrize("changes", [{}, {"irradiance_gradients": False}, {"sampler": "sobol"}], ids=str)
 def test_threads_and_chunks_do_not_show(render: Render, scene: str, changes: dict[str, Any]) -> None:
-    settings = {**SMALL, "width": 26, "height": 18, **changes}
+    settings = {**SMALL, **changes}
     first = render(scene, **settings)
     assert first.irradiance_records > (1 if scene == "caustic-ring" else 50)
     for threads, chunk_rays in ((1, 400), (3, 1237), (2, 50_000)):
@@ -319,9 +319,14 @@ def test_gradients_pay(relative_error: Callable[..., tuple[float, Image]]) -> No
     assert steep < 0.5 * plain
 
 
+def test_records_reach_two_pixels_unless_the_tolerance_asks_for_more() -> None:
+    assert [least_pixels(tolerance) for tolerance in (0.02, 0.2, 0.5, 1.0, 2.0)] == [0.7, 0.7, 1.0, 2.0, 2.0]
+
+
 @pytest.mark.parametrize("tolerance", [0.2, 0.4])
 def test_records_reach_within_their_least_and_most_pixels(open_session: Open, tolerance: float) -> None:
     session = open_session("cornell-boxes", **{**SMALL, "irradiance_cache_tolerance": tolerance})
+    least = least_pixels(tolerance)
     context, camera = session.context, session.scene.camera
     light = illumination(context, make_maps(context, StageClock()))
     points = look(context, camera, 0, 20 * 14).direct
@@ -330,12 +335,12 @@ def test_records_reach_within_their_least_and_most_pixels(open_session: Open, to
     frame = camera_frame(camera, 20, 14)
     footprint = 2 * np.linalg.norm(frame[1]) / 20 * np.linalg.norm(points.position - frame[0], axis=1)
     pixels = tolerance * records.radius / footprint
-    assert np.all(pixels >= LEAST_PIXELS * (1 - 1e-4))
+    assert np.all(pixels >= least * (1 - 1e-4))
     assert np.all(pixels <= MOST_PIXELS * (1 + 1e-4))
-    assert (pixels > 1.01 * LEAST_PIXELS).any()
+    assert (pixels > 1.01 * least).any()
     cache = fill_cache(context, camera, light)
     at = np.linalg.norm(cache.records.position - frame[0], axis=1) * 2 * np.linalg.norm(frame[1]) / 20
     reach = tolerance * cache.records.radius
     assert np.all(reach <= MOST_PIXELS * at * (1 + 1e-4))
     # Clamping may pull a record down to its neighbours, never below the least of them.
-    assert reach.min() >= LEAST_PIXELS * at.min() * (1 - 1e-4)
+    assert reach.min() >= least * at.min() * (1 - 1e-4)

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from joulebox_render.kernels.lighting import emit_photons, shadow_rays
+from joulebox_render.kernels.emission import emit_photons
+from joulebox_render.kernels.lighting import shadow_rays
 from joulebox_render.kernels.rng import path_key
 from joulebox_render.kernels.vector import tangent_frame
 from joulebox_render.records import POINT_LIGHT, Rays, ShadowRays

@@ -103,18 +103,6 @@ def aim_at_witnesses(tree, witness, position, normal, epsilon, lift, origin, dir
             limit[out] = distance
 
 
-@kernel
-def reflect_irradiance(points, irradiance, radiance):
-    """Add weight x albedo / pi x irradiance of each point to its owner, in the points' order.
-
-    radiance (owners, 3) f8.
-    """
-    for q in range(points.owner.shape[0]):
-        owner = points.owner[q]
-        for c in range(3):
-            radiance[owner, c] += points.weight[q, c] * points.albedo[q, c] * irradiance[q, c] / math.pi
-
-
 @device
 def short_ray(key, sample, distance, resolution):
     """Whether a path's last ray is shorter than about `resolution` [m].

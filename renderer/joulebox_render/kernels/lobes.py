@@ -15,7 +15,7 @@ import math
 import numpy as np
 
 from joulebox_render.kernels.compilation import device, kernel
-from joulebox_render.kernels.lighting import POINT_LIGHT, SPHERE_LIGHT, SPOT_LIGHT, light_sample
+from joulebox_render.kernels.lights import POINT_LIGHT, SPHERE_LIGHT, SPOT_LIGHT, light_sample
 from joulebox_render.kernels.rng import child_key, fill_2d, member_key, sample_2d, uniform
 from joulebox_render.kernels.surface import surface_at_hit
 from joulebox_render.kernels.transport import push_ray
@@ -104,7 +104,7 @@ def light_density(tables, light, px, py, pz, distance, cos_light):
         cx, cy, cz = row3(tables.light_position, light)
         d2 = (np.float64(cx) - px) ** 2 + (np.float64(cy) - py) ** 2 + (np.float64(cz) - pz) ** 2
         sin2_max = np.float64(tables.light_radius[light]) ** 2 / d2
-        # As lighting.sphere_light_sample, without cancellation for small, distant spheres.
+        # As lights.sphere_light_sample, without cancellation for small, distant spheres.
         return (1.0 + math.sqrt(max(0.0, 1.0 - sin2_max))) / (2.0 * math.pi * sin2_max)
     return np.float64(distance) * distance / (tables.light_area[light] * cos_light)
 

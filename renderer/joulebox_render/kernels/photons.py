@@ -56,6 +56,18 @@ def shows_photons(tables, material):
 
 
 @device
+def reflection_chances(fx, fy, fz, ax, ay, az, cx, cy, cz):
+    """Chances to go on from the diffuse part and from the mirror or lobe; what is left is absorbed.
+
+    A lobe can reflect more into one direction than arrives; the excess goes into the flux.
+    """
+    flux = fx + fy + fz
+    diffuse, specular = (fx * ax + fy * ay + fz * az) / flux, (fx * cx + fy * cy + fz * cz) / flux
+    excess = max(1.0, diffuse + specular)
+    return diffuse / excess, specular / excess
+
+
+@device
 def glass_direction(tables, material, front, choice, dx, dy, dz, gx, gy, gz, sx, sy, sz):
     """Where a photon goes on from glass, by Fresnel reflectance, and on which side of it: 1 reflected, -1 refracted."""
     share, rx, ry, rz, tx, ty, tz, _ = glass_bounce(tables, material, front, dx, dy, dz, gx, gy, gz, sx, sy, sz)
@@ -106,11 +118,7 @@ def scatter(tables, store_at_every_bounce, sobol, wanted, rays, history, hits, s
             rx, ry, rz, cx, cy, cz = specular_bounce(
                 tables, material, sobol, key, number, dx, dy, dz, gx, gy, gz, sx, sy, sz
             )
-            # Chances to go on from the diffuse part and from the mirror or lobe; what is left is absorbed. A lobe can
-            # reflect more into one direction than arrives; the excess goes into the flux.
-            diffuse, specular = (fx * ax + fy * ay + fz * az) / flux, (fx * cx + fy * cy + fz * cz) / flux
-            excess = max(1.0, diffuse + specular)
-            diffuse, specular = diffuse / excess, specular / excess
+            diffuse, specular = reflection_chances(fx, fy, fz, ax, ay, az, cx, cy, cz)
             goes_on = choice < diffuse + specular
             stays = store_at_every_bounce or (not goes_on and diffuse + specular < 1.0)
             if stays and wanted[history[i]] and shows_photons(tables, material):

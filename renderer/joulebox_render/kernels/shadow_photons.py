@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from joulebox_render.kernels.compilation import device, kernel
-from joulebox_render.kernels.lighting import DISK_LIGHT, RECTANGLE_LIGHT, SPHERE_LIGHT, light_sample
+from joulebox_render.kernels.lights import DISK_LIGHT, RECTANGLE_LIGHT, SPHERE_LIGHT, light_sample
 from joulebox_render.kernels.rng import child_key, mix, path_key, uniform
 from joulebox_render.kernels.surface import surface_at_hit
 from joulebox_render.kernels.transport import push_ray

@@ -5,8 +5,6 @@
 
 import math
 
-import numpy as np
-
 from joulebox_render.kernels.compilation import device, kernel
 from joulebox_render.kernels.vector import normalized, row3
 
@@ -137,15 +135,3 @@ def surface_at_hit(tables, rays, hits, i, primitive):
     gx, gy, gz, sx, sy, sz = surface_normals(tables, primitive, px, py, pz, hits.u[i], hits.v[i])
     front, gx, gy, gz, sx, sy, sz = face_forward(gx, gy, gz, sx, sy, sz, dx, dy, dz)
     return front, px, py, pz, gx, gy, gz, sx, sy, sz
-
-
-@kernel
-def merge_embree_hits(embree_distance, embree_primitive, distance, primitive, far):
-    """Copy Embree's answer, turning its misses into distance `far` and primitive -1."""
-    for i in range(distance.shape[0]):
-        if embree_primitive[i] < 0:
-            distance[i] = far
-            primitive[i] = -1
-        else:
-            distance[i] = embree_distance[i]
-            primitive[i] = np.int32(embree_primitive[i])

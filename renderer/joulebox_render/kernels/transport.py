@@ -94,6 +94,106 @@ def glass_bounce(tables, material, front, dx, dy, dz, gx, gy, gz, sx, sy, sz):
     return reflectance, rx, ry, rz, tx, ty, tz, eta
 
 
+@device
+def follow_glass(tables, material, split, sobol, rays, i, at, following, row):
+    """Write the ray or rays that go on from glass at `at` from `row` on; returns how many rays there are then."""
+    front, px, py, pz, gx, gy, gz, sx, sy, sz = at
+    dx, dy, dz = row3(rays.direction, i)
+    wx, wy, wz = row3(rays.weight, i)
+    owner, key, sample = rays.owner[i], rays.key[i], rays.sample[i]
+    epsilon = tables.epsilon[0]
+    ex, ey, ez = epsilon * gx, epsilon * gy, epsilon * gz
+    share, rx, ry, rz, tx, ty, tz, eta = glass_bounce(tables, material, front, dx, dy, dz, gx, gy, gz, sx, sy, sz)
+    both = split and max(wx, wy, wz) * min(share, 1.0 - share) > SPLIT_WEIGHT
+    reflect = both or draw_1d(sobol, key, sample, 0) < share
+    if reflect:
+        scale = share if both else 1.0
+        push_ray(
+            following, row, px + ex, py + ey, pz + ez, rx, ry, rz,
+            wx * scale, wy * scale, wz * scale, owner, child_key(key, 0), sample,
+        )  # fmt: skip
+        row += 1
+    if both or not reflect:
+        scale = eta * eta * (1.0 - share if both else 1.0)
+        push_ray(
+            following, row, px - ex, py - ey, pz - ez, tx, ty, tz,
+            wx * scale, wy * scale, wz * scale, owner, child_key(key, 1), sample,
+        )  # fmt: skip
+        row += 1
+    return row
+
+
+@device
+def follow_mirror(tables, material, rays, i, at, following, row):
+    """Write the ray that goes on from a mirror at `at`."""
+    _, px, py, pz, gx, gy, gz, sx, sy, sz = at
+    dx, dy, dz = row3(rays.direction, i)
+    rx, ry, rz = reflected(dx, dy, dz, sx, sy, sz)
+    wx, wy, wz = row3(rays.weight, i)
+    ax, ay, az = row3(tables.material_albedo, material)
+    epsilon = tables.epsilon[0]
+    push_ray(
+        following, row, px + epsilon * gx, py + epsilon * gy, pz + epsilon * gz, rx, ry, rz,
+        wx * ax, wy * ay, wz * az, rays.owner[i], child_key(rays.key[i], 0), rays.sample[i],
+    )  # fmt: skip
+
+
+@device
+def phong_parts(tables, material, split, sobol, rays, i):
+    """What a path's weight is multiplied with in the diffuse part and in the lobe of a Phong surface; 0 goes no way."""
+    ax, ay, az = row3(tables.material_albedo, material)
+    cx, cy, cz = row3(tables.material_glossy, material)
+    if max(ax, ay, az) <= 0.0:
+        return 0.0, 1.0
+    if split:
+        return 1.0, 1.0
+    chance = max(cx, cy, cz) / (max(cx, cy, cz) + max(ax, ay, az))
+    if draw_1d(sobol, rays.key[i], rays.sample[i], 2) < chance:
+        return 0.0, 1.0 / chance
+    return 1.0 / (1.0 - chance), 0.0
+
+
+@device
+def push_lobe(tables, material, rays, hits, i, at, scale, lobes, row):
+    """Write the lobe of a Phong surface at `at`."""
+    _, px, py, pz, gx, gy, gz, sx, sy, sz = at
+    dx, dy, dz = row3(rays.direction, i)
+    rx, ry, rz = reflected(dx, dy, dz, sx, sy, sz)
+    wx, wy, wz = row3(rays.weight, i)
+    cx, cy, cz = row3(tables.material_glossy, material)
+    epsilon = tables.epsilon[0]
+    push_point(
+        lobes.at, row, px + epsilon * gx, py + epsilon * gy, pz + epsilon * gz, gx, gy, gz, sx, sy, sz, cx, cy, cz,
+        wx * scale, wy * scale, wz * scale,
+        rays.owner[i], child_key(rays.key[i], LOBE_BRANCH), rays.sample[i], hits.distance[i],
+    )  # fmt: skip
+    set_row3(lobes.mirror, row, rx, ry, rz)
+    lobes.exponent[row] = tables.material_exponent[material]
+
+
+@device
+def kept_weight(sobol, rays, i):
+    """Factor on the weight of a point by Russian roulette among those that count for little; 0: it is dropped."""
+    wx, wy, wz = row3(rays.weight, i)
+    weight = np.float64(max(wx, wy, wz))
+    if weight >= POINT_WEIGHT:
+        return 1.0
+    return POINT_WEIGHT / weight if draw_1d(sobol, rays.key[i], rays.sample[i], 1) * POINT_WEIGHT < weight else 0.0
+
+
+@device
+def reach_point(tables, material, rays, hits, i, at, scale, points, row):
+    """Write the diffuse point at `at`."""
+    _, px, py, pz, gx, gy, gz, sx, sy, sz = at
+    wx, wy, wz = row3(rays.weight, i)
+    ax, ay, az = row3(tables.material_albedo, material)
+    epsilon = tables.epsilon[0]
+    push_point(
+        points, row, px + epsilon * gx, py + epsilon * gy, pz + epsilon * gz, gx, gy, gz, sx, sy, sz, ax, ay, az,
+        wx * scale, wy * scale, wz * scale, rays.owner[i], rays.key[i], rays.sample[i], hits.distance[i],
+    )  # fmt: skip
+
+
 @kernel
 def advance(tables, split, sobol, rays, hits, points, lobes, following):
     """One step of paths through mirrors, glass and glossy lobes until they meet a diffuse surface.
@@ -110,81 +210,33 @@ def advance(tables, split, sobol, rays, hits, points, lobes, following):
     Refraction scales radiance by the square of the ratio of indices (Veach 1997, section 5.2), which cancels
     for paths that leave the glass again.
     """
-    epsilon = tables.epsilon[0]
     point_count, lobe_count, ray_count = 0, 0, 0
     for i in range(rays.origin.shape[0]):
         primitive = hits.primitive[i]
-        wx, wy, wz = row3(rays.weight, i)
-        owner, key, sample = rays.owner[i], rays.key[i], rays.sample[i]
         if primitive < 0:
             continue
-        dx, dy, dz = row3(rays.direction, i)
-        front, px, py, pz, gx, gy, gz, sx, sy, sz = surface_at_hit(tables, rays, hits, i, primitive)
         material = tables.material[primitive]
         kind = tables.material_kind[material]
-        ax, ay, az = row3(tables.material_albedo, material)
-        ex, ey, ez = epsilon * gx, epsilon * gy, epsilon * gz
+        at = surface_at_hit(tables, rays, hits, i, primitive)
         if kind == GLASS:
-            share, rx, ry, rz, tx, ty, tz, eta = glass_bounce(
-                tables, material, front, dx, dy, dz, gx, gy, gz, sx, sy, sz
-            )
-            weight = max(wx, wy, wz)
-            both = split and weight * min(share, 1.0 - share) > SPLIT_WEIGHT
-            reflect = both or draw_1d(sobol, key, sample, 0) < share
-            scale = share if both else 1.0
-            if reflect:
-                push_ray(
-                    following, ray_count, px + ex, py + ey, pz + ez, rx, ry, rz,
-                    wx * scale, wy * scale, wz * scale, owner, child_key(key, 0), sample,
-                )  # fmt: skip
-                ray_count += 1
-            if both or not reflect:
-                scale = eta * eta * (1.0 - share if both else 1.0)
-                push_ray(
-                    following, ray_count, px - ex, py - ey, pz - ez, tx, ty, tz,
-                    wx * scale, wy * scale, wz * scale, owner, child_key(key, 1), sample,
-                )  # fmt: skip
-                ray_count += 1
+            ray_count = follow_glass(tables, material, split, sobol, rays, i, at, following, ray_count)
             continue
-        if not (front or tables.material_two_sided[material]):
+        if not (at[0] or tables.material_two_sided[material]):
             continue
         if kind == MIRROR:
-            rx, ry, rz = reflected(dx, dy, dz, sx, sy, sz)
-            push_ray(
-                following, ray_count, px + ex, py + ey, pz + ez, rx, ry, rz,
-                wx * ax, wy * ay, wz * az, owner, child_key(key, 0), sample,
-            )  # fmt: skip
+            follow_mirror(tables, material, rays, i, at, following, ray_count)
             ray_count += 1
             continue
-        diffuse = kind == DIFFUSE
+        diffuse, scale = 1.0 * (kind == DIFFUSE), 0.0
         if kind == PHONG:
-            cx, cy, cz = row3(tables.material_glossy, material)
-            glossy, diffuse = True, max(ax, ay, az) > 0.0
-            if diffuse and not split:
-                chance = max(cx, cy, cz) / (max(cx, cy, cz) + max(ax, ay, az))
-                glossy = draw_1d(sobol, key, sample, 2) < chance
-                diffuse = not glossy
-                scale = 1.0 / (chance if glossy else 1.0 - chance)
-                wx, wy, wz = wx * scale, wy * scale, wz * scale
-            if glossy:
-                rx, ry, rz = reflected(dx, dy, dz, sx, sy, sz)
-                push_point(
-                    lobes.at, lobe_count, px + ex, py + ey, pz + ez, gx, gy, gz, sx, sy, sz, cx, cy, cz, wx, wy, wz,
-                    owner, child_key(key, LOBE_BRANCH), sample, hits.distance[i],
-                )  # fmt: skip
-                set_row3(lobes.mirror, lobe_count, rx, ry, rz)
-                lobes.exponent[lobe_count] = tables.material_exponent[material]
-                lobe_count += 1
-        if diffuse:
-            weight = max(wx, wy, wz)
-            if split and weight < POINT_WEIGHT:
-                if draw_1d(sobol, key, sample, 1) * POINT_WEIGHT >= weight:
-                    continue
-                wx, wy, wz = wx * POINT_WEIGHT / weight, wy * POINT_WEIGHT / weight, wz * POINT_WEIGHT / weight
-            push_point(
-                points, point_count, px + ex, py + ey, pz + ez, gx, gy, gz, sx, sy, sz,
-                ax, ay, az, wx, wy, wz, owner, key, sample, hits.distance[i],
-            )  # fmt: skip
+            diffuse, scale = phong_parts(tables, material, split, sobol, rays, i)
+        if scale > 0.0:
+            push_lobe(tables, material, rays, hits, i, at, scale, lobes, lobe_count)
+            lobe_count += 1
+        if diffuse > 0.0 and split:
+            diffuse *= kept_weight(sobol, rays, i)
+        if diffuse > 0.0:
+            reach_point(tables, material, rays, hits, i, at, diffuse, points, point_count)
             point_count += 1
     return point_count, lobe_count, ray_count
 

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from joulebox_render.kernels.lighting import AIM_COLUMNS, AIM_ROWS
+from joulebox_render.kernels.emission import AIM_COLUMNS, AIM_ROWS
 from joulebox_render.kernels.vector import from_frame
 from joulebox_render.records import (
     DISK_LIGHT,
@@ -135,7 +135,7 @@ def _cell_cones(tables: SceneTables, light: int, kind: int) -> tuple[F8, F8]:
 
 
 def _directions(tables: SceneTables, light: int, kind: int, u: F8, v: F8) -> F8:
-    """Directions (N, 3) that kernels.lighting.emitted_ray makes of u and v."""
+    """Directions (N, 3) that kernels.emission.emitted_ray makes of u and v."""
     phi = 2.0 * np.pi * v
     if kind in (POINT_LIGHT, SPHERE_LIGHT):
         z = 1.0 - 2.0 * u

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from joulebox_render.kernels.lighting import add_close, add_unblocked, close_points, cosine_rays, shadow_rays
+from joulebox_render.kernels.close_lights import add_close, close_points, cosine_rays
+from joulebox_render.kernels.lighting import add_unblocked, shadow_rays
 from joulebox_render.kernels.shadow_photons import HIDDEN, LIT, find_cells
 from joulebox_render.records import F8, POINT_LIGHT, SPOT_LIGHT, U1, Points, Rays, ShadowRays, rows
 from joulebox_render.stages.context import Context
@@ -14,10 +15,9 @@ from joulebox_render.stages.shadow_photons import ShadowCells
 
 
 class DirectLight(NamedTuple):
-    """Reflected radiance (points, 3) f8, the shadow rays traced for it, and those that shadow photons saved."""
+    """Reflected radiance (points, 3) f8, and the shadow rays that shadow photons saved."""
 
     radiance: F8
-    rays: int
     rays_saved: int
 
 
@@ -27,27 +27,26 @@ def light_directly(context: Context, points: Points, cells: ShadowCells | None =
 
     def chunk(first: int, last: int) -> DirectLight:
         if cells is None:
-            return DirectLight(*sample_lights(context, points, first, last, samples), 0)
+            return DirectLight(sample_lights(context, points, first, last, samples), 0)
         return _sample_unknown(context, cells, points, first, last, samples)
 
     # A chunk holds the rays to one light at a time.
     chunks = list(context.pool.map_chunks(chunk, len(points.owner), samples))
     if not chunks:
-        return DirectLight(np.zeros((0, 3)), 0, 0)
-    radiance, traced, saved = zip(*chunks, strict=True)
-    return DirectLight(np.concatenate(radiance), sum(traced), sum(saved))
+        return DirectLight(np.zeros((0, 3)), 0)
+    radiance, saved = zip(*chunks, strict=True)
+    return DirectLight(np.concatenate(radiance), sum(saved))
 
 
-def sample_lights(context: Context, points: Points, first: int, last: int, samples: int) -> tuple[F8, int]:
-    """Direct light at points [first, last) with `samples` shadow rays to each area light, one to each point light.
+def sample_lights(context: Context, points: Points, first: int, last: int, samples: int) -> F8:
+    """Reflected radiance (last - first, 3) f8 of direct light at points [first, last).
 
-    Returns reflected radiance (last - first, 3) f8 and the rays traced.
+    `samples` shadow rays go to each area light, one to each point light.
     """
     radiance = np.zeros((last - first, 3))
-    traced = 0
     for light in range(len(context.tables.light_kind)):
-        traced += _sample_light(context, light, points, first, last, samples, radiance)
-    return radiance, traced
+        _sample_light(context, light, points, first, last, samples, radiance)
+    return radiance
 
 
 def _sample_light(
@@ -93,7 +92,7 @@ def _sample_unknown(
 ) -> DirectLight:
     """As sample_lights, but rays are traced only where the cells do not know what a light's samples would meet."""
     radiance = np.zeros((last - first, 3))
-    traced = saved = 0
+    saved = 0
     cell = np.empty(last - first, np.int32)
     find_cells(cells, points, first, last, cell)
     for light in range(len(context.tables.light_kind)):
@@ -101,10 +100,10 @@ def _sample_unknown(
         order = np.argsort(verdict, kind="stable")
         lit, hidden = np.searchsorted(verdict[order], (LIT, HIDDEN))
         ordered, sums = Points(*rows(points, first + order)), np.ascontiguousarray(radiance[order])
-        traced += _sample_light(context, light, ordered, 0, lit, samples, sums[:lit])
+        _sample_light(context, light, ordered, 0, lit, samples, sums[:lit])
         saved += _sample_light(context, light, ordered, lit, hidden, samples, sums[lit:hidden], seen=True)
         # Where the light is hidden, one sample a point tells how many would have been above the horizon.
         unseen = np.zeros((len(order) - hidden, 3))
         saved += samples * _sample_light(context, light, ordered, hidden, len(order), 1, unseen, seen=True)
         radiance[order] = sums
-    return DirectLight(radiance, traced, saved)
+    return DirectLight(radiance, saved)

@@ -24,7 +24,6 @@ class Sight(NamedTuple):
     emitted: F8
     direct: Points
     through_specular: Points
-    rays: int
 
 
 def camera_frame(camera: Camera, width: int, height: int) -> F8:
@@ -59,24 +58,21 @@ def look(
     frame = camera_frame(camera, settings.width, settings.height)
     columns = context.columns(samples) if jitter else grid(samples)
 
-    def chunk(first: int, last: int) -> tuple[F8, list[Points], int]:
+    def chunk(first: int, last: int) -> tuple[F8, list[Points]]:
         rays = Rays.empty((last - first) * samples)
         camera_rays(
             settings.seed, CAMERA_STREAM + OVERTURE_STREAMS * overture, first_pixel + first, samples, columns, jitter,
             width, height, frame, camera.near_m, rays,
         )  # fmt: skip
         emitted = np.zeros((last - first, 3))
-        parts, _, traced = follow_to_diffuse(
-            context, rays, emitted, split=True, first_emission=True, specular_emission=True
-        )
+        parts = follow_to_diffuse(context, rays, emitted, split=True, first_emission=True, specular_emission=True)
         for part in parts:
             part.owner[:] += first
-        return emitted, parts, traced
+        return emitted, parts
 
     chunks = list(context.pool.map_chunks(chunk, pixel_count, samples))
     return Sight(
-        emitted=np.concatenate([emitted for emitted, _, _ in chunks]),
-        direct=join([parts[0] for _, parts, _ in chunks]),
-        through_specular=join([part for _, parts, _ in chunks for part in parts[1:]]),
-        rays=sum(traced for _, _, traced in chunks),
+        emitted=np.concatenate([emitted for emitted, _ in chunks]),
+        direct=join([parts[0] for _, parts in chunks]),
+        through_specular=join([part for _, parts in chunks for part in parts[1:]]),
     )

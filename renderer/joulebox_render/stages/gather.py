@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 import numpy as np
 
-from joulebox_render.kernels.gathering import add_weighted, reflect_irradiance, reflect_mean, take_unsure
+from joulebox_render.kernels.gathering import add_weighted, reflect_mean, take_unsure
 from joulebox_render.kernels.importance import CELL_COLUMNS, CELL_ROWS, incoming_chances
 from joulebox_render.kernels.transport import continue_paths, gather_rays
 from joulebox_render.records import F4, F8, Hits, Points, Rays, Scratch, rows
@@ -92,10 +93,10 @@ def incident_radiance(context: Context, light: Illumination, rays: Rays) -> tupl
         near = ask_map(context, light, rays, hits, stretch, radiance)
         if not len(near.owner):
             break
-        lit, _ = sample_lights(context, near, 0, len(near.owner), 1)
+        lit = sample_lights(context, near, 0, len(near.owner), 1)
         add_weighted(near, lit, radiance)
         if light.caustics is not None:
-            reflect_irradiance(near, light.caustics(near.position, near.normal, near.key).irradiance, radiance)
+            add_reflected(near, light.caustics(near.position, near.normal, near.key).irradiance, radiance)
         if stretch == context.settings.max_photon_bounces:
             break
         onward = Rays.empty(len(near.owner))
@@ -121,7 +122,7 @@ def ask_map(context: Context, light: Illumination, rays: Rays, hits: Hits, stret
     reached = follow_to_diffuse(
         context, rays, radiance,
         split=False, first_emission=False, specular_emission=not context.plan.caustic_map, hits=hits,
-    ).reached  # fmt: skip
+    )  # fmt: skip
     if not asks:
         return join(reached)
     for depth, far in enumerate(reached):
@@ -131,8 +132,13 @@ def ask_map(context: Context, light: Illumination, rays: Rays, hits: Hits, stret
             # Past a mirror or glass the last stretch says nothing about how near the gathering point is.
             count = take_unsure(far, unsure, 0.0 if depth else light.resolution_m, near)
             unknown.append(Points(*rows(near, slice(0, count))))
-        reflect_irradiance(far, irradiance, radiance)
+        add_reflected(far, irradiance, radiance)
     return join(unknown)
+
+
+def add_reflected(points: Points, irradiance: F4, radiance: F8) -> None:
+    """Add what points reflect of irradiance (N, 3) to their owners' radiance (owners, 3) f8."""
+    add_weighted(points, points.albedo * irradiance.astype(np.float64) / math.pi, radiance)
 
 
 def trace_paths(context: Context, points: Points) -> F8:
@@ -157,9 +163,9 @@ def trace_paths(context: Context, points: Points) -> F8:
                 follow_to_diffuse(
                     context, Rays(*rows(rays, slice(0, going_on))), radiance, split=False,
                     first_emission=False, specular_emission=True,
-                ).reached
+                )
             )  # fmt: skip
-            light, _ = sample_lights(context, here, 0, len(here.owner), 1)
+            light = sample_lights(context, here, 0, len(here.owner), 1)
             add_weighted(here, light, radiance)
         return radiance
 

@@ -27,8 +27,9 @@ from joulebox_render.stages.precomputed import Illumination
 
 # Pixels between the overture's eye rays, coarse to fine.
 STEPS = (16, 8, 4, 2)
-# A record reaches at least and at most this many pixels (Krivanek 2006 has 1.5 to 3 for the least).
-LEAST_PIXELS, MOST_PIXELS = 3.0, 20.0
+# A record reaches at most this many pixels, and at least as many as `least_pixels` says within these bounds.
+MOST_PIXELS = 20.0
+FINEST, COARSEST = 0.7, 2.0
 # Records are placed at this share of the tolerance that they are used with, so that several blend at every point.
 PLACING = 0.6
 # A point must have this much of its records' radius free above it. Records that saw what is above reach no farther
@@ -117,6 +118,14 @@ def fill_cache(context: Context, camera: Camera, light: Illumination) -> Irradia
     return cache
 
 
+def least_pixels(tolerance: float) -> float:
+    """How many pixels a record reaches at least.
+
+    Two (Krivanek 2006 has 1.5 to 3) keep them from crowding in corners; a tolerance that asks for more gets more.
+    """
+    return max(FINEST, COARSEST * min(1.0, tolerance))
+
+
 def gather_records(context: Context, camera: Camera, light: Illumination, points: Points) -> CacheRecords:
     """Final gathers at points made records."""
     settings = context.settings
@@ -127,7 +136,8 @@ def gather_records(context: Context, camera: Camera, light: Illumination, points
     frame = camera_frame(camera, settings.width, settings.height)
     pixel = 2.0 * float(np.linalg.norm(frame[1])) / settings.width
     footprint = pixel * np.linalg.norm(points.position - frame[0], axis=1) / settings.irradiance_cache_tolerance
-    near, far = (np.asarray(pixels * footprint, np.float32) for pixels in (LEAST_PIXELS, MOST_PIXELS))
+    least = least_pixels(settings.irradiance_cache_tolerance)
+    near, far = (np.asarray(pixels * footprint, np.float32) for pixels in (least, MOST_PIXELS))
 
     def chunk(first: int, last: int) -> CacheRecords:
         rays = aim_gather(points, first, last, count, polar, NOT_BENT)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from joulebox_render.kernels.lobes import add_emission
@@ -17,29 +15,18 @@ LOBE_RAYS = 8
 NO_LOBES: F4 = np.empty(0, np.float32)
 
 
-class Followed(NamedTuple):
-    """Where rays led: the diffuse points of each depth (entry 0: what they met directly), the length of the rays'
-    own first stretch (N,) f4 [m], and how many rays were traced.
-    """
-
-    reached: list[Points]
-    distance: F4
-    rays: int
-
-
 def follow_to_diffuse(
     context: Context, rays: Rays, radiance: F8, *, split: bool, first_emission: bool, specular_emission: bool,
     hits: Hits | None = None,
-) -> Followed:  # fmt: skip
-    """Trace rays through specular and glossy surfaces.
+) -> list[Points]:  # fmt: skip
+    """The diffuse points of each depth that rays lead to through specular and glossy surfaces; first those met at once.
 
     radiance (owners, 3) f8 is added to: light emitted at the rays' first hits where `first_emission`, behind
     mirrors, glass and glossy surfaces where `specular_emission`; lobes then sample the lights, too. Paths end after
     `max_depth` bounces. `hits` are the rays' own, where they have been traced before.
     """
     reached: list[Points] = []
-    distance = np.zeros(0, np.float32)
-    traced = samples = 0
+    samples = 0
     density = NO_LOBES
     depth_limit = context.settings.max_depth if context.plan.specular_recursion else 0
     for depth in range(depth_limit + 1):
@@ -48,9 +35,6 @@ def follow_to_diffuse(
             break
         if hits is None or depth:
             hits = context.intersector.closest(rays.origin, rays.direction)
-            traced += count
-        if depth == 0:
-            distance = hits.distance
         if specular_emission if depth else first_emission:
             add_emission(context.tables, samples, rays, density, hits, radiance)
         fan = LOBE_RAYS if split and depth == 0 and context.plan.glossy else 1
@@ -69,7 +53,7 @@ def follow_to_diffuse(
             density = np.empty(len(following.owner), np.float32)
             ray_count = follow_lobes(context, lobes, fan, ray_count, following, density)
         rays = Rays(*rows(following, slice(0, ray_count)))
-    return Followed(reached, distance, traced)
+    return reached
 
 
 def join(parts: list[Points]) -> Points:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from joulebox_render.kernels.emission import emit_photons
 from joulebox_render.kernels.kdtree import LEAF, build_tree
-from joulebox_render.kernels.lighting import emit_photons
 from joulebox_render.kernels.photons import scatter
 from joulebox_render.kernels.rng import path_key
 from joulebox_render.pool import WorkerPool

@@ -224,7 +224,7 @@ def direct_irradiance(context: Context, number: I8, position: F4, normal: F4) ->
     points.albedo[:] = math.pi
     points.key[:] = path_key(context.settings.seed, RECORD_STREAM, 0)
     points.sample[:] = number
-    irradiance, _ = sample_lights(context, points, 0, count, RECORD_SHADOW_RAYS)
+    irradiance = sample_lights(context, points, 0, count, RECORD_SHADOW_RAYS)
     return irradiance.astype(np.float32)
 
 

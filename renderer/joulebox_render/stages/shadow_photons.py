@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from joulebox_render.kernels.lighting import emit_photons
+from joulebox_render.kernels.emission import emit_photons
 from joulebox_render.kernels.rng import path_key
 from joulebox_render.kernels.shadow_photons import (
     ABSTAINS,
