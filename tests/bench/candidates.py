@@ -65,18 +65,19 @@ def name_of(values: Values) -> str:
     return ", ".join(str(value) if name == "preset" else f"{name}={value}" for name, value in values.items())
 
 
-def timed(session: Session) -> tuple[Image, float]:
-    """An image and its CPU seconds, warm: the median of a few where it is cheap."""
+def timed(session: Session, turns: int) -> tuple[Image, float]:
+    """An image and its CPU seconds, warm: the median of some turns where it is cheap."""
     image = session.render()
-    if image.cpu_s > WARM_BELOW_CPU_S:
+    if image.cpu_s > WARM_BELOW_CPU_S or not turns:
         return image, image.cpu_s
-    turns = [session.render() for _ in range(WARM_TURNS)]
-    return turns[0], statistics.median(turn.cpu_s for turn in turns)
+    warm = [session.render() for _ in range(turns)]
+    return warm[0], statistics.median(turn.cpu_s for turn in warm)
 
 
 def measure(
-    scene: str, values: Values, reference: F4, say: Callable[[str], None], size: Values, name: str = ""
-) -> Measured | None:
+    scene: str, values: Values, reference: F4, say: Callable[[str], None], size: Values, name: str = "",
+    turns: int = WARM_TURNS,
+) -> Measured | None:  # fmt: skip
     """One configuration on one scene; None, with a word, where its settings are not known."""
     try:
         settings = make_settings(values, size)
@@ -85,7 +86,7 @@ def measure(
         say(f"{scene}: skipped {name or name_of(values)}: {why}")
         return None
     with Session(scene, settings) as session:
-        image, cpu_s = timed(session)
+        image, cpu_s = timed(session, turns)
     measured = Measured(
         scene, name or name_of(values), cpu_s, relative_mse(image.pixels, reference),
         flip(image.pixels, reference), brightness_error(image.pixels, reference),
