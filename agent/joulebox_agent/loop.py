@@ -60,6 +60,7 @@ class StageEvent(_Event):
     end_s: Finite
     cpu_s: Duration = 0.0
     rays: Duration = 0.0
+    through_specular: bool = False  # work on what is seen through mirrors and glass
 
 
 class ImageEvent(_Event):

@@ -11,7 +11,7 @@ from random import Random
 from typing import Any
 
 from joulebox_agent.loop import Build, DoneEvent, ImageEvent, ReadyEvent, StageEvent
-from joulebox_agent.sampler import Sampler
+from joulebox_agent.sampling.sampler import Sampler
 
 IDLE_W = 5.0
 STAGES_W = {"photon_map": 24.0, "direct": 17.0, "indirect": 14.0}

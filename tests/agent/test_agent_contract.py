@@ -4,10 +4,10 @@ import json
 from pathlib import Path
 
 from agent_testing import FAKE_COMMAND
-from joulebox_agent.capabilities import describe_device
-from joulebox_agent.document import MeasureDocument
-from joulebox_agent.rule import make_rule
-from joulebox_agent.server import Lease
+from joulebox_agent.fleet.capabilities import describe_device
+from joulebox_agent.fleet.server import Lease
+from joulebox_agent.measuring.document import MeasureDocument
+from joulebox_agent.measuring.rule import make_rule
 
 CONTRACT = Path(__file__).parents[1] / "contract"
 

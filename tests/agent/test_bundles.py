@@ -5,11 +5,11 @@ import stat
 import zipfile
 from pathlib import Path
 
-import joulebox_agent.bundle as bundle
+import joulebox_agent.fleet.bundle as bundle
 import pytest
 from fake_fleet import TOKEN, FakeFleet, scene_zip
 from joulebox_agent.errors import BundleError, ServerRefusedError
-from joulebox_agent.server import Server
+from joulebox_agent.fleet.server import Server
 
 
 @pytest.fixture

@@ -11,19 +11,19 @@ from pathlib import Path
 
 import pytest
 from agent_testing import FAKE_COMMAND, RENDERER, ScriptedClock
-from joulebox_agent.document import MeasureDocument
 from joulebox_agent.errors import RendererError
 from joulebox_agent.loop import RendererLoop
-from joulebox_agent.measure import Measurement
-from joulebox_agent.meter import StoppedError
-from joulebox_agent.recording import Recording
-from joulebox_agent.result import build_result
-from joulebox_agent.rule import MeasureRule
-from joulebox_agent.sampler import Sampler
+from joulebox_agent.measuring.document import MeasureDocument
+from joulebox_agent.measuring.measure import Measurement
+from joulebox_agent.measuring.meter import StoppedError
+from joulebox_agent.measuring.recording import Recording
+from joulebox_agent.measuring.result import build_result
+from joulebox_agent.measuring.rule import MeasureRule
+from joulebox_agent.measuring.visit import Job
+from joulebox_agent.sampling.sampler import Sampler
 from joulebox_agent.sources.choose import Choice, choose
 from joulebox_agent.sources.reading import Reading
 from joulebox_agent.sources.replay import Replay, bundled_trace
-from joulebox_agent.visit import Job
 
 Agent = Callable[..., tuple[int, str, str]]
 SHORT = ("--renderer", RENDERER, "--window-s", "0.15", "--min-windows", "3", "--max-windows", "3")
@@ -96,6 +96,8 @@ def test_the_warm_up_image_is_in_no_window(tmp_path: Path) -> None:
     assert record.warm_up is not None
     assert record.warm_up.image == 0
     assert record.windows[0].start_s == record.warm_up.end_s
+    assert [w.start_s for w in record.windows[1:]] == [w.end_s for w in record.windows[:-1]]
+    assert {w.end_s for w in record.windows} <= {image.end_s for image in record.images}
     assert sum(w.images for w in record.windows) <= len(record.images)
 
 

@@ -5,13 +5,13 @@ from typing import Any
 
 import pytest
 from joulebox_agent.errors import UsageError
+from joulebox_agent.estimates.windows import Window
 from joulebox_agent.loop import ImageEvent, StageEvent
-from joulebox_agent.plot import MOST_POINTS, plot_format, power_chart, save_chart
-from joulebox_agent.recording import Recording, VoidWindow
-from joulebox_agent.sampler import Sample
+from joulebox_agent.measuring.plot import MOST_POINTS, plot_format, power_chart, save_chart
+from joulebox_agent.measuring.recording import Recording, VoidWindow
+from joulebox_agent.sampling.sampler import Sample
 from joulebox_agent.sources.choose import choose
 from joulebox_agent.sources.reading import Reading
-from joulebox_agent.windows import Window
 
 
 def recorded(samples: list[Sample]) -> Recording:

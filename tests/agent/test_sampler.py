@@ -11,12 +11,12 @@ from pathlib import Path
 import psutil
 import pytest
 from joulebox_agent.errors import SourceUnavailableError
-from joulebox_agent.sampler import Sample
-from joulebox_agent.sampler_child import decode, encode
-from joulebox_agent.sampler_process import SamplerProcess, sampler_cost
+from joulebox_agent.sampling.sampler import Sample
+from joulebox_agent.sampling.sampler_child import decode, encode
+from joulebox_agent.sampling.sampler_process import SamplerProcess, sampler_cost
+from joulebox_agent.sampling.watch import FaultWatch, Patience
 from joulebox_agent.sources.choose import Choice, choose
 from joulebox_agent.sources.reading import Reading
-from joulebox_agent.watch import FaultWatch, Patience
 
 Tree = Callable[[str], Path]
 
@@ -74,7 +74,7 @@ def test_the_sampler_never_outlives_whoever_started_it(tree: Tree) -> None:
     root = tree("thinkpad_power_now")
     program = (
         "import sys, time; from pathlib import Path\n"
-        "from joulebox_agent.sampler_process import SamplerProcess\n"
+        "from joulebox_agent.sampling.sampler_process import SamplerProcess\n"
         "from joulebox_agent.sources.choose import choose\n"
         "root = Path(sys.argv[1]); s = SamplerProcess(choose('auto', root), root); s.start()\n"
         "print(s.pid, flush=True); time.sleep(60)"

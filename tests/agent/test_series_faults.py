@@ -4,14 +4,14 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from joulebox_agent.energies import idle_power, integrated_stage_energies, window_energies
-from joulebox_agent.faults import stretch_fault
-from joulebox_agent.lag import fit_lag
-from joulebox_agent.sampler import Sample
-from joulebox_agent.series import PowerSeries
+from joulebox_agent.estimates.energies import idle_power, integrated_stage_energies, window_energies
+from joulebox_agent.estimates.windows import Window
+from joulebox_agent.sampling.faults import stretch_fault
+from joulebox_agent.sampling.lag import fit_lag
+from joulebox_agent.sampling.sampler import Sample
+from joulebox_agent.sampling.series import PowerSeries
 from joulebox_agent.sources.reading import Reading
 from joulebox_agent.sources.replay import Replay, bundled_trace
-from joulebox_agent.windows import Window
 
 GAUGE = Replay(bundled_trace())
 RNG = np.random.default_rng
@@ -45,6 +45,19 @@ def test_refresh_is_measured_although_coarse_values_repeat(refresh_s: float, ste
     series = PowerSeries(polled(*noisy(refresh_s, 100 * refresh_s, step_w=step_w)))
     assert series.refresh_s() == pytest.approx(refresh_s, rel=0.02)
     assert series.update_count(0.0, 90 * refresh_s) == pytest.approx(90, abs=1)
+
+
+def test_looks_out_of_turn_do_not_shorten_the_refresh() -> None:
+    """A dozen updates of a gauge that refreshes at every poll, and four looks at windows' edges. Two looks within one
+    refresh were taken for updates 0.1 s apart. Each of the four looks splits one of 11 spacings: one more is counted
+    at the most (15 of 5.5 s), or one less (7)."""
+    for seed in range(40):
+        phase_s, *looks_s = RNG(seed).uniform(0.0, 0.5, 5)
+        polls_s = np.sort([*np.arange(0.0, 6.0, 0.5), *(1.5 * k + look_s for k, look_s in enumerate(looks_s))])
+        power_w = 17.0 + 0.4 * RNG(100 + seed).standard_normal(20)
+        shown = [float(power_w[int((poll_s + phase_s) / 0.5)]) for poll_s in polls_s]
+        samples = [Sample(float(t), Reading(power_w=w, raw=(w,))) for t, w in zip(polls_s, shown, strict=True)]
+        assert 5.5 / 15 <= (PowerSeries(samples).refresh_s() or 0.0) <= 5.5 / 7
 
 
 def test_a_counter_that_moves_at_every_poll_does_not_hide_the_gauge_s_refresh() -> None:

@@ -7,17 +7,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from joulebox_agent.blocks import control_drift, shuffled
-from joulebox_agent.charging import Band, Charging
-from joulebox_agent.configurations import read_configurations
 from joulebox_agent.errors import AgentError, UsageError
-from joulebox_agent.journal import Journal
-from joulebox_agent.meter import Meter, StoppedError
-from joulebox_agent.rule import MeasureRule
-from joulebox_agent.session import Configuration, Course, Session
-from joulebox_agent.several import build_results
+from joulebox_agent.measuring.blocks import control_drift, shuffled
+from joulebox_agent.measuring.charging import Band, Charging
+from joulebox_agent.measuring.configurations import read_configurations
+from joulebox_agent.measuring.journal import Journal
+from joulebox_agent.measuring.meter import Meter, StoppedError
+from joulebox_agent.measuring.rule import MeasureRule
+from joulebox_agent.measuring.session import Configuration, Course, Session
+from joulebox_agent.measuring.several import build_results
+from joulebox_agent.measuring.visit import Job
 from joulebox_agent.sources.choose import choose
-from joulebox_agent.visit import Job
 from simulated import FULL_WH, Machine, SimulatedLoop, SimulatedSampler, true_energy_j
 
 RULE = MeasureRule(window_s=30.0, min_windows=4, max_windows=8, max_seconds=3600.0)

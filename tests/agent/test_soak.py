@@ -12,16 +12,16 @@ from random import Random
 from threading import Event
 
 import pytest
-from joulebox_agent.energies import window_energies
 from joulebox_agent.errors import RendererError, SourceUnavailableError
-from joulebox_agent.meter import Meter
-from joulebox_agent.recording import Recording
-from joulebox_agent.result import build_result
-from joulebox_agent.rule import MeasureRule
-from joulebox_agent.series import PowerSeries
-from joulebox_agent.session import Configuration, Session
+from joulebox_agent.estimates.energies import window_energies
+from joulebox_agent.measuring.meter import Meter
+from joulebox_agent.measuring.recording import Recording
+from joulebox_agent.measuring.result import build_result
+from joulebox_agent.measuring.rule import MeasureRule
+from joulebox_agent.measuring.session import Configuration, Session
+from joulebox_agent.measuring.visit import Job
+from joulebox_agent.sampling.series import PowerSeries
 from joulebox_agent.sources.choose import choose
-from joulebox_agent.visit import Job
 from simulated import FULL_WH, STAGES_W, Machine, SimulatedLoop, SimulatedSampler
 
 GAUGE_S = 4.0

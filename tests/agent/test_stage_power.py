@@ -5,9 +5,9 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
-from joulebox_agent.calibration import Calibration
-from joulebox_agent.drift import drift_covariance
-from joulebox_agent.stage_power import BETWEEN, FitError, StagePowerFit, WindowTotals, fit_stage_powers
+from joulebox_agent.estimates.calibration import Calibration
+from joulebox_agent.estimates.drift import drift_covariance
+from joulebox_agent.estimates.stage_power import BETWEEN, FitError, StagePowerFit, WindowTotals, fit_stage_powers
 
 POWERS_W = {"photon_map": 24.0, "direct": 17.0, "indirect": 14.0}
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from joulebox_agent.energies import window_energies
-from joulebox_agent.stage_power import StagePowerFit, WindowTotals, fit_stage_powers
-from joulebox_agent.windows import Window, stage_energies_j
+from joulebox_agent.estimates.energies import window_energies
+from joulebox_agent.estimates.stage_power import StagePowerFit, WindowTotals, fit_stage_powers
+from joulebox_agent.estimates.windows import Window, stage_energies_j
 
 from .discharge import Gauge, Machine, script
 from .reading import Run, windows_of

@@ -3,7 +3,7 @@
 import json
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -12,11 +12,15 @@ import httpx2
 import uvicorn
 from fake_device import FakeDevice, scene_zip, sweep
 from joulebox_server.app import create_app
+from joulebox_server.connections import PatientProtocol
 from joulebox_server.settings import ServerSettings
 from joulebox_server.store import tokens
 from starlette.testclient import TestClient
 
 BASE_URL = "http://127.0.0.1"
+
+Run = Callable[..., tuple[int, str, str]]
+"""Runs the command in this process: (exit code, standard output, standard error)."""
 
 
 class Clock:
@@ -84,7 +88,7 @@ def listening(data_dir: Path, executor: Any, **settings: Any) -> Iterator[Server
     clock = Clock()
     given = {"release_pause_s": 0, "retry_pause_s": 0, **settings}
     app = create_app(ServerSettings(data_dir=data_dir, **given), executor, clock)
-    config = uvicorn.Config(app, port=0, log_level="warning", timeout_graceful_shutdown=1)
+    config = uvicorn.Config(app, port=0, log_level="warning", timeout_graceful_shutdown=1, http=PatientProtocol)
     running = uvicorn.Server(config)
     thread = threading.Thread(target=running.run)
     thread.start()
@@ -102,3 +106,14 @@ def listening(data_dir: Path, executor: Any, **settings: Any) -> Iterator[Server
             app.state.services.bell.close()
         running.should_exit = True
         thread.join()
+
+
+def failed(result: tuple[int, str, str], code: int, *parts: str) -> None:
+    """One sentence on standard error, nothing else."""
+    found, out, err = result
+    assert (found, out) == (code, ""), err
+    assert err.startswith("joulebox: ")
+    assert err.count("\n") == 1
+    assert "Traceback" not in err
+    for part in parts:
+        assert part in err

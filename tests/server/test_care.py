@@ -201,6 +201,15 @@ def test_meter_few(server: Server) -> None:
             assert asked == ((30, 5, 9) if job["metered"] else (10, 2, 2))
 
 
+def test_meter_none(server: Server) -> None:
+    """Every job is one image and its time: references and controls too."""
+    sweep = server.add_sweep(axes={"gather_count": [1, 2]}, repeats=2, controls=1, measure={"meter": "none"})
+    jobs = server.get(f"/sweeps/{sweep['id']}/jobs", limit=200)["items"]
+    assert len(jobs) == 2 * (2 + 1) + 2
+    assert not any(job["metered"] for job in jobs)
+    assert [lease["measure"]["meter"] for lease in server.device().lease(max_jobs=20)] == [False] * len(jobs)
+
+
 def disagreement(server: Server, device: str) -> list[dict[str, Any]]:
     found: list[dict[str, Any]] = server.get(f"/devices/{device}/disagreements")["items"]
     assert server.get(f"/devices/{device}")["disagreements"] == len(found)

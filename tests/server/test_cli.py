@@ -8,15 +8,13 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import httpx2
 import pytest
 from fake_device import FakeDevice
-from joulebox_server import cli
 from joulebox_server.cli.sweep_file import pack_scene
-from server_testing import Server
+from server_testing import Run, Server, failed
 
 SWEEP = """
 name = "from-file"
@@ -26,27 +24,6 @@ axes = {global_photons = [10000, 50000]}
 repeats = 1
 measure = {window_s = 1, min_windows = 2, max_windows = 2, max_seconds = 10}
 """
-
-Run = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Run:
-    """Run the command in this process: (exit code, standard output, standard error)."""
-    for name in ("JOULEBOX_SERVER", "JOULEBOX_TOKEN", "JOULEBOX_DATA"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setenv("JOULEBOX_DATA", str(tmp_path / "no-server"))
-    monkeypatch.setenv("COLUMNS", "200")
-
-    def call(*arguments: str) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["joulebox", *arguments])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        out, err = capsys.readouterr()
-        code = ended.value.code
-        return (0 if code is None else int(code)), out, err
-
-    return call
 
 
 @pytest.fixture
@@ -59,24 +36,6 @@ def sweep_file(tmp_path: Path) -> Path:
     path = tmp_path / "sweep.toml"
     path.write_text(SWEEP)
     return path
-
-
-@pytest.fixture
-def there(live: Server) -> list[str]:
-    """The options that lead to a live server."""
-    token = live.operator["Authorization"].split()[1]
-    return ["--server", str(live.client.base_url).rstrip("/"), "--token", token]
-
-
-def failed(result: tuple[int, str, str], code: int, *parts: str) -> None:
-    """One sentence on standard error, nothing else."""
-    found, out, err = result
-    assert (found, out) == (code, ""), err
-    assert err.startswith("joulebox: ")
-    assert err.count("\n") == 1
-    assert "Traceback" not in err
-    for part in parts:
-        assert part in err
 
 
 def test_from_file_to_recommendation(run: Run, live: Server, there: list[str], sweep_file: Path) -> None:

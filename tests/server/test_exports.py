@@ -220,3 +220,26 @@ def test_wrong_codes_are_limited(server: Server) -> None:
     assert server.client.post("/v1/devices", json=body | {"code": code}).status_code == 429
     server.app.state.services.enrolling._clock = lambda: 1e12
     assert server.client.post("/v1/devices", json=body | {"code": code}).status_code == 201
+
+
+def test_measurements_tell_jobs_differences_and_whole_documents(server: Server) -> None:
+    """More than a batch of the store's, oldest first; those of another sweep are not among them."""
+    server.device().work()
+    counts = list(range(1, 55))
+    sweeps = [server.add_sweep(axes={"gather_count": wanted}, repeats=1) for wanted in ([7], counts)]
+    server.device("second").work()
+    for sweep in sweeps:
+        server.wait(sweep["id"], "done")
+    answer = server.client.get(f"/v1/sweeps/{sweeps[1]['id']}/measurements")
+    assert answer.headers["content-type"] == "application/x-ndjson"
+    found = [json.loads(line) for line in answer.text.splitlines()]
+    assert [told["id"] for told in found] == sorted(told["id"] for told in found)
+    measured = [told for told in found if told["purpose"] == "measure"]
+    assert sorted(told["document"]["settings"]["gather_count"] for told in measured) == counts
+    assert len(found) == len(counts) + 2
+    assert all(told["difference"] >= 0 and len(told["delta_sha256"]) == 64 for told in measured)
+    (reference,) = [told for told in found if told["purpose"] == "reference"]
+    assert (reference["difference"], reference["reference_sha256"]) == (None, None)
+    assert {told["reference_sha256"] for told in measured} == {reference["document"]["image_blob"]}
+    assert {told["scene"] for told in found} == {"box"}
+    assert server.client.get("/v1/sweeps/none/measurements").status_code == 404

@@ -5,10 +5,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from joulebox_agent.document import MeasureDocument
 from joulebox_agent.errors import AgentError
-from joulebox_agent.estimate import Interval
-from joulebox_agent.result import Result
+from joulebox_agent.estimates.estimate import Interval
+from joulebox_agent.measuring.document import MeasureDocument
+from joulebox_agent.measuring.result import Result
 
 
 class VoidMeasurementError(AgentError):

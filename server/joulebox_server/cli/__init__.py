@@ -10,7 +10,9 @@ from joulebox_server.cli import data, device, findings, sweep
 from joulebox_server.cli.diff import diff
 from joulebox_server.cli.recommend import recommend
 from joulebox_server.cli.recompute import recompute
+from joulebox_server.cli.report import report
 from joulebox_server.cli.serve import serve
+from joulebox_server.cli.thesis import thesis
 from joulebox_server.errors import InvalidError, ServerError
 
 FAILED, WRONG_USE, INTERRUPTED = 1, 2, 130
@@ -37,6 +39,7 @@ def build() -> typer.Typer:
     for command in (
         serve,
         recommend,
+        report,
         findings.tradeoff,
         findings.export,
         data.backup,
@@ -44,6 +47,7 @@ def build() -> typer.Typer:
         data.gc,
         diff,
         recompute,
+        thesis,
     ):
         app.command()(command)
     app.add_typer(sweep.app, name="sweep")

@@ -16,7 +16,7 @@ from starlette.background import BackgroundTask
 
 from joulebox_server.parquet import write_parquet
 from joulebox_server.problems import told
-from joulebox_server.routes.paging import Cursor, Limit, page
+from joulebox_server.routes.paging import Cursor, Key, Limit, page
 from joulebox_server.schemas.answers import ResultPage
 from joulebox_server.services import Services, ServicesOf, Viewer
 from joulebox_server.store import results, sweeps
@@ -65,6 +65,28 @@ def list_results(
     lines = _csv_lines(batches) if format == "csv" else _json_lines(batches)
     media_type = "text/csv; charset=utf-8" if format == "csv" else "application/x-ndjson"
     return StreamingResponse(lines, media_type=media_type, headers=headers)
+
+
+@router.get(
+    "/sweeps/{sweep}/measurements",
+    response_class=StreamingResponse,
+    responses={200: {"content": {"application/x-ndjson": {"schema": {"type": "string"}}}}, **told(404, 409)},
+)
+def list_measurements(services: ServicesOf, _: Viewer, sweep: Key) -> Response:
+    """Every result of a sweep that was not voided, as lines of JSON: its job, its difference, its whole document."""
+
+    def first(db: Database) -> tuple[str, list[Row]]:
+        sweep_id = str(sweeps.find(db, sweep)["id"])
+        return sweep_id, results.measurements(db, sweep_id, None)
+
+    def batches() -> Iterator[list[Row]]:
+        sweep_id, batch = found
+        while batch:
+            yield batch
+            batch = services.store.read(results.measurements, sweep_id, batch[-1]["id"])
+
+    found = services.store.read(first)
+    return StreamingResponse(_json_lines(batches()), media_type="application/x-ndjson")
 
 
 def _batches(services: Services, sweep_id: str | None, batch: list[Row]) -> Iterator[list[Row]]:

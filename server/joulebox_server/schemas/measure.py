@@ -54,6 +54,9 @@ class Stage(Document):
     rays: float | None = Field(default=None, ge=0, le=1e18)
     energy_j: StageEnergy = StageEnergy()
     energy_intervals_j: StageIntervals | None = None
+    specular_time_s: Amount = 0.0
+    """Of `time_s`, on what is seen through mirrors and glass; the thesis books it under direct lighting."""
+    specular_cpu_s: Amount = 0.0
 
 
 class Window(Document):

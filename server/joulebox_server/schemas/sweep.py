@@ -79,7 +79,8 @@ class MeasureRules(Document):
     """Windows of `window_s`; as many as the wanted relative `half_width` takes, within the limits.
 
     With `meter = "few"` every configuration is timed, and only so many are metered as take `metered_windows`
-    windows: their joules give the power of each stage, which prices the others.
+    windows: their joules give the power of each stage, which prices the others. With `meter = "none"` every job is
+    one image and its time.
     """
 
     window_s: float = Field(default=60.0, gt=0, le=3600)
@@ -87,7 +88,7 @@ class MeasureRules(Document):
     max_windows: int = Field(default=20, ge=1, le=1000)
     half_width: float = Field(default=0.05, gt=0, lt=1)
     max_seconds: float = Field(default=900.0, gt=0, le=86_400)
-    meter: Literal["all", "few"] = "all"
+    meter: Literal["all", "few", "none"] = "all"
     metered_windows: int = Field(default=20, ge=1, le=10_000)
 
     @model_validator(mode="after")

@@ -1,5 +1,6 @@
 """Results: taking one in exactly once, and giving them out."""
 
+import json
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,6 +17,8 @@ from joulebox_server.store.life import Event
 
 Accepted = Literal["ok", "late"]
 BATCH = 500
+DOCUMENTS = 50
+"""Results in a batch with their documents, which may be long."""
 COLUMNS = (
     *("id", "sweep_id", "job_id", "scene", "device", "purpose", "configuration_id", "repeat", "seed"),
     *("method", "quality", "accepted", "void", "images", "windows"),
@@ -195,6 +198,31 @@ def exported(db: Database, sweep_id: str | None, limit: int, cursor: str | None)
         (cursor or "", *([] if sweep_id is None else [sweep_id]), limit),
     )
     return [_flat(result) for result in found]
+
+
+def measurements(db: Database, sweep_id: str, cursor: str | None) -> list[dict[str, Any]]:
+    """Results of a sweep that were not voided, oldest first, those after the result `cursor`, with documents."""
+    found = rows(
+        db,
+        """SELECT result.id, result.document, job.purpose, job.repeat, job.seed, sweep_scene.label, sweep_scene.defines,
+        device.name AS device, difference.value AS difference, difference.state AS difference_state,
+        difference.reference_sha256, difference.delta_sha256
+        FROM result JOIN job ON job.id = result.job_id JOIN device ON device.id = result.device_id
+        JOIN sweep_scene ON sweep_scene.id = job.sweep_scene_id
+        LEFT JOIN comparison ON comparison.result_id = result.id
+        LEFT JOIN image_difference AS difference ON difference.id = comparison.difference_id
+        WHERE result.id > ? AND result.sweep_id = ? AND result.void IS NULL ORDER BY result.id LIMIT ?""",
+        (cursor or "", sweep_id, DOCUMENTS),
+    )
+    return [
+        {
+            **{name: value for name, value in result.items() if name != "label"},
+            "scene": result["label"],
+            "defines": json.loads(result["defines"]),
+            "document": json.loads(result["document"]),
+        }
+        for result in found
+    ]
 
 
 def _flat(result: Row) -> dict[str, Any]:

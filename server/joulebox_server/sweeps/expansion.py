@@ -120,7 +120,8 @@ def plan_jobs(
             mixed.insert(place, control)
         for position, (purpose, scene, configuration, number) in enumerate(mixed):
             seed = _seed(measured[configuration]) + (repeat if purpose == "measure" else 0)
-            joules = purpose == "control" or (configuration in metered and (repeat == 0 or not _few(definition)))
+            joules = _any(definition) and purpose == "control"
+            joules |= configuration in metered and (repeat == 0 or not _few(definition))
             jobs.append(PlannedJob(purpose, scene, configuration, number, seed, repeat, position, joules))
     return jobs
 
@@ -132,7 +133,7 @@ def metered_configurations(definition: SweepDefinition, measured: list[Configura
     differs most. At least two, so that there is something to fit.
     """
     if not _few(definition):
-        return set(range(len(measured)))
+        return set(range(len(measured))) if _any(definition) else set()
     rules = definition.measure
     wanted = min(len(measured), max(2, -(-rules.metered_windows // rules.min_windows)))
     points = _ranks(measured)
@@ -143,6 +144,10 @@ def metered_configurations(definition: SweepDefinition, measured: list[Configura
         distances = [min(old, _apart(points[chosen[-1]], point)) for old, point in zip(distances, points, strict=True)]
         distances[chosen[-1]] = -1.0
     return set(chosen)
+
+
+def _any(definition: SweepDefinition) -> bool:
+    return definition.measure.meter != "none"
 
 
 def _few(definition: SweepDefinition) -> bool:
@@ -184,7 +189,7 @@ def _reference_jobs(definition: SweepDefinition, configuration: int, seed: int) 
     for scene in range(len(definition.scenes)):
         for repeat in range(definition.repeats if same else 1):
             own = seed + repeat if same else seed + REFERENCE_SEED_STEP
-            yield PlannedJob("reference", scene, configuration, repeat, own, -1, scene, metered=True)
+            yield PlannedJob("reference", scene, configuration, repeat, own, -1, scene, metered=_any(definition))
         floor_seed = seed + NOISE_FLOOR_SEED_STEP
         yield PlannedJob("noise_floor", scene, configuration, 0, floor_seed, -1, scene, metered=False)
 

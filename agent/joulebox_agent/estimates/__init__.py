@@ -1,0 +1,1 @@
+"""From samples and windows to joules with intervals: arithmetic alone, no clock, no files."""

@@ -1,0 +1,1 @@
+"""The daemon: leases from a server, results spooled until they are delivered."""

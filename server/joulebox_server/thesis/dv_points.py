@@ -1,0 +1,58 @@
+"""The batch of direct visualisation: its sweeps, and lines through their points."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from joulebox_server.thesis.batch import THESIS, Plan, Sweep
+from joulebox_server.thesis.results import Point, Results, along
+
+SCENES = ("cornell-boxes", "cornell-spheres")
+BOXES, SPHERES = SCENES
+PHOTONS = (50_000, 100_000, 175_000, 200_000)
+REFERENCE_PHOTONS, MOST_PHOTONS = 250_000, 500_000
+DISTANCES = (0.5, 0.75, 1.5, 2.0, 3.0)
+DISTANCE_M = 0.02
+COUNTS = (50, 150, 200, 250)
+COUNT = 100
+ELSEWHERE: dict[str, Any] = {
+    "global_photons": REFERENCE_PHOTONS,
+    "gather_distance_m": DISTANCE_M,
+    "gather_count": COUNT,
+}
+"""Where a setting stays while another moves."""
+BASE: dict[str, Any] = {
+    **THESIS,
+    "indirect": "direct_visualization",
+    "caustics": False,
+    **ELSEWHERE,
+}
+"""The thesis' reference of direct visualisation; without a caustic map the global map shows caustics."""
+
+
+def sweeps(plan: Plan) -> list[Sweep]:
+    """One setting at a time about the reference, for both scenes; and a few settings over seeds."""
+    changes: list[dict[str, Any]] = [{"global_photons": count} for count in (REFERENCE_PHOTONS, *PHOTONS, MOST_PHOTONS)]
+    changes += [{"gather_distance_m": factor * DISTANCE_M} for factor in DISTANCES]
+    changes += [{"gather_count": count} for count in COUNTS]
+    size = {"width": 256, "height": 256}
+    each = [_sweep(f"dv-{scene}", scene, BASE | size, changes) for scene in SCENES]
+    few = [{"global_photons": 175_000}, {"gather_count": 50}]
+    seeds = _sweep("dv-seeds", BOXES, BASE | {"width": 128, "height": 128}, few) | {"repeats": plan.pick(3, 8)}
+    return [*each, seeds | {"controls": 0}]
+
+
+def _sweep(name: str, scene: str, settings: dict[str, Any], changes: Sequence[dict[str, Any]]) -> Sweep:
+    return {
+        "name": name,
+        "scenes": [scene],
+        "settings": settings,
+        "rule": "list",
+        "configurations": list(changes),
+        "reference": {"settings": {"global_photons": REFERENCE_PHOTONS}},
+    }
+
+
+def line(results: Results, scene: str, name: str) -> list[tuple[float, Point]]:
+    """Points that differ from the reference in one setting alone, with the reference's twin, in order."""
+    fixed = {key: value for key, value in ELSEWHERE.items() if key != name}
+    return along(results.points(f"dv-{scene}", scene, **fixed), name)

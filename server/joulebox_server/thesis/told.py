@@ -1,0 +1,40 @@
+"""Words that report and documentation share: what a run rests on, and where its intervals come from."""
+
+from joulebox_server.analysis.words import figure
+from joulebox_server.thesis.results import Results
+
+BASES = {
+    "measured": "joules measured on this device",
+    "replayed": "joules of a replayed trace, which say nothing of this device",
+    "time": "CPU seconds of all threads in place of joules: a busy machine stretches wall time, and CPU time hardly",
+}
+
+
+def how_told(results: Results) -> list[str]:
+    """How the run was made, in sentences."""
+    told = [f"Costs are {BASES[results.basis]}."]
+    if results.quick:
+        told.append("It was a quick run: one render a configuration, and smaller pictures where a batch is dear.")
+    spreads = results.scatters
+    parts = [
+        f"{name} by {figure(100 * (spread.bounds(1) - 1))} % ({spread.freedom} degrees of freedom)"
+        for name, spread in (
+            ("an image's cost", spreads.cost),
+            ("a stage's cost", spreads.stage),
+            ("a difference, over seeds,", spreads.difference),
+        )
+        if spread is not None
+    ]
+    many = "Where a configuration has three renders or more, its 99 % interval is Student's t over them. "
+    if parts:
+        told.append(
+            many + "Where it has one, the scatter of everything in this run that was rendered more than once (control "
+            f"runs, seeds) tells how far it may be off with 99 % confidence: {', '.join(parts)}."
+        )
+    else:
+        told.append(many + "Nothing else was rendered twice, so other intervals have no width and say nothing.")
+    told.append(
+        "Differences are to the batch's reference with the same seed, as in the thesis; the floor is what another seed "
+        "of the reference itself gives."
+    )
+    return told

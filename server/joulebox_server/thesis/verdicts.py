@@ -1,0 +1,58 @@
+"""Claims judged: each rule applied to the results, and what is said where it does not hold."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from joulebox_server.thesis.batch import Claim, Finding
+from joulebox_server.thesis.results import MissingError, Results
+
+BY_CONSTRUCTION = "on a time basis this is true by construction, so it says nothing"
+UNDECIDED = "the interval reaches over a bound of the rule; more renders, on a quieter machine, decide it"
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A claim with what was found on it."""
+
+    claim: Claim
+    basis: str
+    finding: Finding
+
+    def document(self) -> dict[str, Any]:
+        """The claim's entry in claims.json."""
+        found = self.finding
+        return {
+            "id": self.claim.id,
+            "claim": self.claim.claim,
+            "thesis": self.claim.thesis,
+            "rule": self.claim.rule,
+            "ours": {
+                **(found.value.model_dump() if found.value else {"value": None, "low": None, "high": None}),
+                "unit": found.unit,
+                "words": found.words,
+            },
+            "basis": self.basis,
+            "verdict": found.verdict,
+            "why": self.why,
+        }
+
+    @property
+    def why(self) -> str:
+        """Why it does not hold; nothing where it does."""
+        if self.finding.verdict == "holds":
+            return ""
+        if self.finding.verdict == "unclear":
+            return self.finding.why or UNDECIDED
+        return self.finding.why or self.claim.explanation
+
+
+def judge(claim: Claim, results: Results) -> Judged:
+    """Apply a claim's rule; what cannot be judged is unclear and says why."""
+    basis = "replayed" if claim.replayed and results.basis != "measured" else results.basis
+    try:
+        found = claim.judge(results)
+    except MissingError as error:
+        found = Finding(None, "", "unclear", f"not judged: {error}", why="the points that it needs were not rendered")
+    if claim.about_energy and results.basis == "time" and not claim.replayed:
+        found = replace(found, verdict="unclear", why=BY_CONSTRUCTION)
+    return Judged(claim, basis, found)
