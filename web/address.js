@@ -1,10 +1,16 @@
 // What the page shows lives in the address bar, so that a link reproduces the view.
 
-const KEYS = ["sweep", "scene", "device", "x", "y", "scale", "point", "exposure", "budget", "unit", "images"];
+const KEYS = [
+  "view", "sweep", "scene", "device",
+  "x", "y", "scale", "colour", "only", "predicted", "limit", "budget", "unit", "images", "untried", "point",
+  "against", "reference", "test", "mode", "map", "zoom", "at", "exposure", "split",
+];
+export const VIEWS = ["fleet", "sweep", "compare"];
 
 export function readAddress(hash = location.hash) {
   const given = new URLSearchParams(hash.replace(/^#/, ""));
-  return Object.fromEntries(KEYS.map((key) => [key, given.get(key) || null]));
+  const found = Object.fromEntries(KEYS.map((key) => [key, given.get(key) || null]));
+  return { ...found, view: VIEWS.includes(found.view) ? found.view : "sweep" };
 }
 
 export function addressOf(view) {
@@ -18,3 +24,7 @@ export function writeAddress(view, step) {
   if (address === location.hash) return;
   history[step ? "pushState" : "replaceState"](null, "", address);
 }
+
+// The settings by which points are looked at, as the address holds them: name:value,name:value.
+export const readOnly = (text) => (text ? text.split(",").map(decodeURIComponent) : []);
+export const writeOnly = (chosen) => chosen.map(encodeURIComponent).join(",") || null;

@@ -1,6 +1,6 @@
 // The one door to the server: JSON, pictures and live events, with the token where one is needed.
 
-const TOKEN = "joulebox-viewer-token";
+const TOKEN = "joulebox-token";
 
 export class ApiError extends Error {
   constructor(message, status, code) {
@@ -18,6 +18,11 @@ export function query(parameters) {
   return given.length ? `?${new URLSearchParams(given)}` : "";
 }
 
+// Asks for a token when the server wants one, and goes on with it. The page sets this; it answers a promise of true
+// when there is a new token to try.
+let askForToken = async () => false;
+export const onTokenWanted = (listener) => { askForToken = listener; };
+
 async function ask(path, { headers = {}, ...options } = {}) {
   const authorization = token() ? { Authorization: `Bearer ${token()}` } : {};
   let response;
@@ -30,11 +35,26 @@ async function ask(path, { headers = {}, ...options } = {}) {
   if (response.ok) return response;
   const body = await response.json().catch(() => ({}));
   const detail = body.detail || body.title || `The server answered ${response.status}.`;
-  if (response.status === 401) dispatchEvent(new CustomEvent("joulebox:sign-in", { detail: token() ? detail : null }));
-  throw new ApiError(typeof detail === "string" ? detail : JSON.stringify(detail), response.status, body.code);
+  const words = typeof detail === "string" ? detail : JSON.stringify(detail);
+  const changes = (options.method ?? "GET") !== "GET";
+  if (response.status === 401 || (response.status === 403 && changes)) {
+    const again = await askForToken({ role: changes ? "operator" : "viewer", refused: token() ? words : null });
+    if (again) return ask(path, { headers, ...options });
+  }
+  throw new ApiError(words, response.status, body.code);
 }
 
 export const getJson = async (path, options) => (await ask(path, options)).json();
+export const getText = async (path, options) => (await ask(path, options)).text();
+export const getBytes = async (path) => (await ask(path)).arrayBuffer();
+
+// What changes something: JSON, or the text of a pasted file.
+export async function send(method, path, content, headers = {}) {
+  const text = typeof content === "string";
+  const type = content === undefined ? {} : { "Content-Type": text ? "text/plain" : "application/json" };
+  const answer = await ask(path, { method, body: text ? content : JSON.stringify(content), headers: { ...type, ...headers } });
+  return answer.status === 204 ? null : answer.json();
+}
 
 // Every page of a list, up to `most` items: lists are always limited on the server's side.
 export async function getItems(path, parameters = {}, most = 1000) {
@@ -84,7 +104,7 @@ export function listen({ onEvent, onState, onPoll, pollEvery = 5000 }) {
         if (event.data) onEvent(event.name, event.data);
       });
     } catch (error) {
-      if (error.status === 401) return; // signing in starts a new stream
+      if (error.status === 401) return; // nobody signed in; signing in starts a new stream
     }
     failures += 1;
     if (failures > 1) { onState("lost"); startPolling(); }

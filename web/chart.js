@@ -3,10 +3,12 @@
 import { el, fill, problem, quiet } from "/assets/dom.js";
 
 let library = null;
-const charts = () => (library ??= import("/assets/vega.js").catch((error) => {
+export const chartLibrary = () => (library ??= import("/assets/vega.js").catch((error) => {
   library = null;
   throw new Error(`The chart library did not load (${error.message}). Reload the page; if it stays, look at the server's log.`);
 }));
+
+const MANY_POINTS = 400; // from here on one canvas is quicker than a shape for each
 
 // The spec is drawn for white paper. Its halos, ink, muted tone, grid, limit and budget (server: analysis/palette.py)
 // become the page's own, which can be read on a dark screen as well; the colours of the settings stay as they are.
@@ -14,7 +16,7 @@ const PAPER_COLOURS = {
   "#ffffff": "--card", "#1f2933": "--ink", "#7b8794": "--soft", "#e4e7eb": "--line", "#009e73": "--limit", "#d55e00": "--budget",
 };
 
-function inPageColours(spec) {
+function inPageColours({ datasets, usermeta, ...spec }) {
   const style = getComputedStyle(document.documentElement);
   const recoloured = JSON.parse(JSON.stringify(spec, function inkFor(key, value) {
     const halo = this.type === "text"; // a point keeps its white edge: dark colours need it most on a dark screen
@@ -27,14 +29,16 @@ function inPageColours(spec) {
     config.legend = { ...config.legend, columns: 2, labelLimit: 190, labelFontSize: 11, layout: { bottom: { direction: "vertical" } } };
     config.title = { ...config.title, limit: screen - 60 };
   }
-  return { ...recoloured, background: "transparent", config };
+  return { ...recoloured, background: "transparent", config, ...(datasets ? { datasets } : {}) };
 }
 
-// One chart in `box`. show(spec, description) draws when the spec has changed; mark(x, y) rings a point.
-export function chartIn(box, { onPick } = {}) {
+// One chart in `box`. show(text, description) draws when the spec has changed; mark({x, y}) rings a point; lines are
+// handles (lines.js) that lie over it; onDrawn runs after each drawing.
+export function chartIn(box, { onPick, onDrawn, lines = [] } = {}) {
   let drawn = null;
   let view = null;
   let marked = null;
+  let described = "";
   let latest = 0;
   const ring = el("span", { class: "ring", hidden: true, "aria-hidden": "true" });
 
@@ -42,31 +46,37 @@ export function chartIn(box, { onPick } = {}) {
     const at = view && marked && pixelOf(view, marked);
     ring.hidden = !at;
     if (at) { ring.style.left = `${at[0]}px`; ring.style.top = `${at[1]}px`; }
+    if (!view) return;
+    box.style.setProperty("--plot-top", `${originOf(view, "y")}px`);
+    onDrawn?.();
   };
 
-  async function show(spec, description) {
-    const text = JSON.stringify(spec);
+  async function show(text, description) {
     if (text === drawn) return place();
     drawn = text;
+    described = description;
     const turn = ++latest;
     if (!view) fill(box, quiet("Drawing the chart …"));
     try {
-      const { vegaEmbed } = await charts();
-      const canvas = el("div", { class: "canvas" });
-      const stage = el("div", { class: "stage" }, canvas, ring);
+      const { vegaEmbed } = await chartLibrary();
       if (turn !== latest) return undefined;
+      const spec = { ...inPageColours(JSON.parse(text)), description };
+      const canvas = el("div", { class: "canvas" });
+      const stage = el("div", { class: "stage" }, canvas, ring, lines);
       fill(box, stage); // in the page before it is drawn, because its width is its container's
-      const result = await vegaEmbed(canvas, inPageColours(spec), {
-        mode: "vega-lite", ast: true, actions: false, renderer: "svg", defaultStyle: false,
+      const result = await vegaEmbed(canvas, spec, {
+        mode: "vega-lite", ast: true, actions: false, defaultStyle: false,
+        renderer: spec.datasets?.points?.length > MANY_POINTS ? "canvas" : "svg",
         tooltip: { disableDefaultStyle: true, theme: "joulebox" },
       });
       if (turn !== latest) return result.finalize();
       view?.finalize();
       view = result.view;
-      view.description(description);
-      canvas.querySelector("svg")?.setAttribute("aria-label", description);
+      for (const picture of canvas.querySelectorAll("svg, canvas")) {
+        picture.setAttribute("role", "img");
+        picture.setAttribute("aria-label", description);
+      }
       view.addEventListener("click", (event, item) => onPick?.(item?.datum ?? null, nearestIn(view, event)));
-      view.addEventListener("resize", place);
       view.addResizeListener(() => requestAnimationFrame(place));
     } catch (error) {
       drawn = null;
@@ -77,26 +87,46 @@ export function chartIn(box, { onPick } = {}) {
 
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
     if (!drawn) return;
-    const spec = JSON.parse(drawn);
+    const text = drawn;
     drawn = null;
-    show(spec, view?.description() ?? "");
+    show(text, described);
   });
 
   return {
     show,
     mark(point) { marked = point; place(); },
     say(...nodes) { latest += 1; drawn = null; view?.finalize(); view = null; fill(box, ...nodes); },
+    set(name, value) { view?.signal(name, value).runAsync(); },
+    pixel: (axis, value) => axisPixel(view, axis, value),
+    value: (axis, pixel) => axisValue(view, axis, pixel),
   };
 }
 
-// Where a data point lies inside the chart's box [px], or null when the chart has no such scales.
-function pixelOf(view, { x, y }) {
+const originOf = (view, axis) => view.origin()[axis === "x" ? 0 : 1] + view.padding()[axis === "x" ? "left" : "top"];
+
+// Where a value lies inside the chart's box [px], and back; null outside the axis or without such a scale.
+function axisPixel(view, axis, value) {
   try {
-    const [left, top] = view.origin();
-    const padding = view.padding();
-    const at = [left + padding.left + view.scale("x")(x), top + padding.top + view.scale("y")(y)];
-    return at.every(Number.isFinite) ? at : null;
+    const scale = view.scale(axis);
+    const [low, high] = scale.domain();
+    if (!(value >= low && value <= high)) return null;
+    return originOf(view, axis) + scale(value);
   } catch { return null; }
+}
+
+function axisValue(view, axis, pixel) {
+  try {
+    const scale = view.scale(axis);
+    const [start, end] = scale.range();
+    const inside = Math.min(Math.max(pixel - originOf(view, axis), Math.min(start, end)), Math.max(start, end));
+    const [low, high] = scale.domain();
+    return Math.min(Math.max(scale.invert(inside), low || high / 1e4), high);
+  } catch { return null; }
+}
+
+function pixelOf(view, { x, y }) {
+  const at = [axisPixel(view, "x", x), axisPixel(view, "y", y)];
+  return at.every((pixel) => pixel !== null) ? at : null;
 }
 
 // For fingers: finds the point nearest to a click among `points` ({x, y}), if within `reach` pixels.

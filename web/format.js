@@ -51,3 +51,15 @@ export function ago(moment, now = Date.now()) {
   }
   return "just now";
 }
+
+// Seconds as a person would say them: 45 s, 12 min, 3.5 h, 2 days.
+export function duration(seconds) {
+  if (!Number.isFinite(seconds)) return "unknown";
+  if (seconds < 90) return `${Math.round(seconds)} s`;
+  if (seconds < 5400) return `${Math.round(seconds / 60)} min`;
+  return seconds < 172_800 ? `${number(seconds / 3600)} h` : `${number(seconds / 86_400)} days`;
+}
+
+export const clock = (moment) => new Intl.DateTimeFormat("en-GB", {
+  hour: "2-digit", minute: "2-digit", ...(Math.abs(moment - Date.now()) > 43_200_000 ? { day: "numeric", month: "short" } : {}),
+}).format(moment);

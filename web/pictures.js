@@ -1,9 +1,8 @@
-// Reference, test and delta of one point, with the figures that say how far they are apart.
+// Reference, test and delta of one point at a glance, with the figures that say how far they are apart.
 
 import { getJson, getPicture, query } from "/assets/api.js";
 import { el, facts, fill, problem, quiet } from "/assets/dom.js";
 import { interval, number, percent, quality } from "/assets/format.js";
-import { nameOf } from "/assets/points.js";
 
 const kept = new Map(); // path -> promise of an object URL, the oldest revoked first
 const MOST_KEPT = 60;
@@ -32,62 +31,55 @@ function frame(kind, caption, alternative, path) {
 let latest = 0;
 let shown = null;
 
-export function showPictures(box, tradeoff, point, exposure) {
-  const wanted = JSON.stringify([tradeoff.scene, tradeoff.noise_floor, tradeoff.points.length > 0, point, exposure]);
-  if (wanted === shown) return; // a live update elsewhere must not make the pictures flicker
-  shown = wanted;
+// `compare` is the link to the view that shows more. Without a point it only forgets what was shown.
+export function showPictures(box, point, head, compare) {
+  const wanted = JSON.stringify([point, head?.noise_floor, compare?.hash]);
+  if (point && wanted === shown) return; // a live update elsewhere must not make the pictures flicker
+  shown = point && wanted;
   const turn = ++latest;
-  if (!point) {
-    fill(box, quiet(tradeoff.points.length
-      ? "Choose a point of the chart or a row of its table to see its picture beside the reference."
-      : "No picture yet: the first appears when the first job is done."));
-    return;
-  }
-  const heading = el("p", { class: "chosen-point" }, el("strong", {}, nameOf(point)), " ",
-    el("span", { class: "detail" }, costs(tradeoff, point)));
+  if (!point) return;
+  const heading = el("p", { class: "chosen-point" }, el("strong", {}, point.label), " ", el("span", { class: "detail" }, costs(head, point)));
   if (!point.image_sha256) {
     fill(box, heading, quiet("This point has no picture yet. It comes with the first result of its job."));
     return;
   }
+  const { exposure } = head;
   const reference = point.reference_image_sha256;
-  const compared = reference && getJson(`/v1/compare${query({ reference, test: point.image_sha256, exposure: tradeoff.exposure })}`);
-  const delta = compared && compared.then((result) => imagePath(result.delta_sha256));
+  const compared = reference && getJson(`/v1/compare${query({ reference, test: point.image_sha256, exposure })}`);
+  const delta = compared?.then((result) => imagePath(result.delta_sha256));
   const figures = el("div", { class: "figures" }, quiet(reference ? "Comparing the pictures …" : ""));
   fill(box, heading,
     el("div", { class: "pictures" },
-      reference ? frame("reference", "Reference", `Reference picture of ${tradeoff.scene}`, imagePath(reference, exposure))
+      reference ? frame("reference", "Reference", `Reference picture of ${head.scene}`, imagePath(reference, exposure))
         : quiet("The reference is not rendered yet; the difference follows it."),
-      frame("test", "Test", `${tradeoff.scene} rendered with ${nameOf(point)}`, imagePath(point.image_sha256, exposure)),
+      frame("test", "Test", `${head.scene} rendered with ${point.label}`, imagePath(point.image_sha256, exposure)),
       delta && frame("delta", "Delta: black is the same, white is 10 JND or more",
         "Map of the visible difference between the two, black where they look the same", delta)),
-    figures,
-    el("details", {}, el("summary", {}, "All settings of this point"),
-      facts(Object.entries(point.settings ?? {}).map(([name, value]) => [name, String(value)]))));
+    el("p", {}, compare), figures,
+    el("details", {}, el("summary", { "data-key": "all-settings" }, "All settings of this point"),
+      facts(Object.entries(point.settings).map(([name, value]) => [name, String(value)]))));
   compared?.then(
-    (result) => { if (turn === latest) fill(figures, differences(tradeoff, point, result)); },
-    (error) => { if (turn === latest) fill(figures, problem(error, () => { shown = null; showPictures(box, tradeoff, point, exposure); })); },
+    (result) => { if (turn === latest) fill(figures, facts(differences(head, point, result))); },
+    (error) => { if (turn === latest) fill(figures, problem(error, () => { shown = null; showPictures(box, point, head, compare); })); },
   );
 }
 
-function costs(tradeoff, point) {
-  const { unit } = quality(tradeoff.energy_quality);
-  return [point.energy_j && `${interval(point.energy_j, unit)} an image`, `${interval(point.time_s, "s")} an image`]
+const costs = (head, point) =>
+  [point.energy_j && `${interval(point.energy_j, quality(head.energy_quality).unit)} an image`, `${interval(point.time_s, "s")} an image`]
     .filter(Boolean).join(" · ");
-}
 
-function differences(tradeoff, point, result) {
-  const limit = result.limit ?? tradeoff.limit;
-  const acceptable = result.acceptable ?? result.value <= limit;
-  return facts([
-    ["Difference of this pair", `${number(result.value)} of ${number(limit)}: ${acceptable ? "acceptable" : "beyond the limit"}`,
+// What a comparison found, in words; `head` and `point` are null for pictures that belong to no sweep.
+export function differences(head, point, result) {
+  return [
+    ["Difference of this pair", `${number(result.value)} of ${number(result.limit)}: ${result.acceptable ? "acceptable" : "beyond the limit"}`,
       "Sum of visible differences over the picture; the limit grows with the number of pixels"],
-    point.repeats > 1 && [`Mean over ${point.repeats} seeds`, interval(point.difference), "What the chart shows: the mean over the repeats, with its interval"],
+    point?.repeats > 1 && [`Mean over ${point.repeats} seeds`, interval(point.difference), "What the chart shows: the mean over the repeats, with its interval"],
     ["Worst pixel", `${number(result.max_jnd)} JND`, "Just noticeable differences"],
     ["Beyond 3 JND", percent(result.share_above_3_jnd), "Share of the pixels that clearly differ"],
     ["FLIP", number(result.flip_mean), "Second opinion: mean FLIP, 0 is equal"],
     ["SSIM", number(result.ssim), "Second opinion: structural similarity, 1 is equal"],
     ["relMSE", number(result.relmse), "On linear data: the physical error"],
-    tradeoff.noise_floor && ["Noise floor", number(tradeoff.noise_floor.value), "The reference against itself with another seed"],
-  ].filter(Boolean));
+    head?.noise_floor && ["Noise floor", number(head.noise_floor.value), "The reference against itself with another seed"],
+    point?.fragile && ["Fragile", point.fragile],
+  ].filter(Boolean);
 }
-

@@ -9,8 +9,10 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from joulebox_agent.conditions import Conditions, other_cpu_share, read_conditions
+from joulebox_agent.errors import SourceUnavailableError
 from joulebox_agent.estimates.resolution import window_s_for_share
 from joulebox_agent.sampling.sampler import Sample, Sampler
+from joulebox_agent.sampling.sampler_process import sampler_cost
 from joulebox_agent.sampling.series import PowerSeries
 from joulebox_agent.sources.choose import COUNTER, GAUGE, auto_names
 from joulebox_agent.sources.reading import EnergySource, SourceReport
@@ -18,6 +20,7 @@ from joulebox_agent.sources.survey import Row, survey
 from joulebox_agent.sources.sysfs import SYSTEM_ROOT
 
 LOOK_S, LOOK_PAUSE_S = 0.2, 0.01  # how long a source is read again and again, to learn what a reading costs
+COST_S = 5.0  # at most, to learn what the sampling process costs
 FEWEST_STEPS = 5  # of a counter, below which its difference is no power
 WANTED_SHARE = 0.05
 
@@ -29,6 +32,8 @@ class Diagnosis(BaseModel):
     chosen           the method `auto` (or the asked source) would measure with; None when there is none
     conditions       state that changes the power draw, see `conditions`
     other_cpu_share  CPU that other processes used meanwhile, in cores; None where that is not known
+    sampler_cpu_share  CPU of the process that samples the chosen source in a measurement, as a share of one core;
+                     None unless it was watched
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -39,6 +44,7 @@ class Diagnosis(BaseModel):
     chosen: str | None
     conditions: Conditions
     other_cpu_share: float | None
+    sampler_cpu_share: float | None
 
 
 def diagnose(
@@ -57,13 +63,15 @@ def diagnose(
         rows = _watched(rows, watch_s, on_tick)
     discharge_w, reason = _discharge([report for _, report in rows])
     after = read_conditions(sysfs_root)
+    chosen = _chosen(rows, source, sysfs_root)
     return Diagnosis(
         discharge_w=discharge_w,
         reason=reason,
         sources=tuple(_with_window(rows, discharge_w)),
-        chosen=_chosen(rows, source, sysfs_root),
+        chosen=chosen,
         conditions=after,
         other_cpu_share=other_cpu_share(before, after),
+        sampler_cpu_share=_sampler_share(source, sysfs_root, watch_s) if chosen else None,
     )
 
 
@@ -73,6 +81,14 @@ def _chosen(rows: list[Row], asked: str, sysfs_root: Path) -> str | None:
         kind = asked if asked.startswith(GAUGE) else asked.partition(":")[0].partition("@")[0]
         return kind if kind in usable else None
     return next((name for name in auto_names(sysfs_root) if name in usable), None)
+
+
+def _sampler_share(name: str, sysfs_root: Path, watch_s: float) -> float | None:
+    """What sampling costs once it has begun; None without watching, or when the source went away meanwhile."""
+    try:
+        return sampler_cost(name, sysfs_root, min(watch_s, COST_S)) if watch_s > 0 else None
+    except SourceUnavailableError:
+        return None
 
 
 def _discharge(reports: list[SourceReport]) -> tuple[float | None, str]:

@@ -20,6 +20,7 @@ from joulebox_render.images import pixel_sha256
 from joulebox_render.integrator import Rendering, render_image
 from joulebox_render.intersect import Intersector
 from joulebox_render.kernels import compilation
+from joulebox_render.memory import keep_freed_memory
 from joulebox_render.plan import Plan, make_plan
 from joulebox_render.pool import CHUNK_RAYS, WorkerPool
 from joulebox_render.records import F4, Scene
@@ -69,6 +70,7 @@ class Session:
         chunk_rays: int = CHUNK_RAYS,
         intersector: str = "auto",
     ) -> None:
+        keep_freed_memory()
         start = time.perf_counter()
         self.scene: Scene = load_scene(scene, defines or {})
         self.settings = settings.model_copy(

@@ -28,6 +28,7 @@ from joulebox_server.routes import (
     results,
     scenes,
     sweeps,
+    views,
     wheels,
     work,
 )
@@ -66,12 +67,12 @@ def create_app(
         docs_url=None,  # its pages would load scripts from elsewhere; `documentation` serves its own
         redoc_url=None,
     )
-    app.add_middleware(BodyLimit, max_bytes=settings.max_body_bytes)
+    app.add_middleware(BodyLimit, max_bytes=settings.max_body_bytes, silence_s=settings.body_silence_s)
     app.add_middleware(Envelope, registry=registry, secure=settings.secure)
     add_problem_handlers(app)
-    versioned = APIRouter(prefix="/v1", responses=told(401, 403, 422, 503))
+    versioned = APIRouter(prefix="/v1", responses=told(401, 403, 408, 422, 503))
     # Routes are tried in this order: first those that devices ask for all the time.
-    for part in (work, blobs, events, devices, scenes, sweeps, results, findings, recommendation, pictures):
+    for part in (work, blobs, events, devices, scenes, views, sweeps, results, findings, recommendation, pictures):
         versioned.include_router(part.router)
     app.include_router(versioned)
     for unversioned in (health, wheels):

@@ -1,5 +1,6 @@
-"""Limits on what clients may send: how long a body, and how many wrong guesses."""
+"""Limits on what clients may send: how long a body, how slowly, and how many wrong guesses."""
 
+import asyncio
 import math
 import time
 from collections import deque
@@ -15,27 +16,39 @@ STREAMED = ("/v1/blobs/", "/v1/scenes")
 
 
 class BodyLimit:
-    """ASGI middleware: reading more than `max_bytes` of a body raises a 413.
+    """ASGI middleware: reading more than `max_bytes` of a body raises a 413, waiting too long for it a 408.
 
-    Not FastAPI's own `max_body_size`, which answers in plain text and not in our one shape.
+    No body may be silent for `silence_s`, and one that is not streamed to the disk must be here after ten times
+    that: it is read before anybody knows who sends it. Not FastAPI's own `max_body_size`, which answers in plain
+    text and not in our one shape.
     """
 
-    def __init__(self, app: ASGIApp, max_bytes: int) -> None:
+    def __init__(self, app: ASGIApp, max_bytes: int, silence_s: float) -> None:
         self._app = app
-        self._max_bytes = max_bytes
+        self._max_bytes, self._silence_s = max_bytes, silence_s
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass on, counting what is read."""
-        if scope["type"] != "http" or scope["path"].startswith(STREAMED):
+        if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        read_bytes = 0
+        streamed = scope["path"].startswith(STREAMED)
+        ends_s = math.inf if streamed else time.monotonic() + 10 * self._silence_s
+        read_bytes, complete = 0, False
 
         async def counted() -> Message:
-            nonlocal read_bytes
-            message = await receive()
+            nonlocal read_bytes, complete
+            if complete:  # what comes now is the client's leaving, which may take as long as it likes
+                return await receive()
+            try:
+                async with asyncio.timeout(min(self._silence_s, ends_s - time.monotonic())):
+                    message = await receive()
+            except TimeoutError:
+                sentence = f"the body did not come: it was silent for {self._silence_s:g} s, or ten times that in all"
+                raise HTTPException(408, sentence, {"Connection": "close"}) from None
             read_bytes += len(message.get("body", b""))
-            if read_bytes > self._max_bytes:
+            complete = not message.get("more_body", False)
+            if read_bytes > self._max_bytes and not streamed:
                 raise HTTPException(413, f"the body may have at most {self._max_bytes} bytes")
             return message
 

@@ -10,15 +10,19 @@ from joulebox_server.analysis.intervals import Interval
 from joulebox_server.analysis.points import Observation, Subject
 from joulebox_server.analysis.tradeoff import build_tradeoff
 from joulebox_server.errors import NotFoundError
+from joulebox_server.kept import Kept
 from joulebox_server.schemas.measure import MeasureDocument
 from joulebox_server.schemas.sweep import SweepDefinition
 from joulebox_server.store import results, sweeps
-from joulebox_server.store.database import Row
+from joulebox_server.store.database import Row, row
 from joulebox_server.sweeps.expansion import axis_names
 
 NOMINAL_SIDE = 256
 """The size that limits are stated for; stands in until a first picture tells the sweep's own."""
 OPINIONS = ("flip_mean", "ssim", "rmse_srgb", "relmse")
+
+_kept: Kept[Tradeoff] = Kept(8)
+"""Thousands of results take seconds to read, and every view of a sweep asks for the same ones."""
 
 
 def tradeoff(db: Database, sweep_key: str, scene: str | None, device: str | None, confidence: float) -> Tradeoff:
@@ -28,6 +32,28 @@ def tradeoff(db: Database, sweep_key: str, scene: str | None, device: str | None
     range.
     """
     sweep = sweeps.find(db, sweep_key)
+    question = (mark(db, sweep["id"]), scene, device, confidence)
+    return _kept.get(question, lambda: _tradeoff(db, sweep, scene, device, confidence))
+
+
+def mark(db: Database, sweep_id: str) -> tuple[str, ...]:
+    """Names the state of a sweep's results: another whenever its trade-off may be another.
+
+    Results are only ever added, and a comparison changes when it is done or asked for anew.
+    """
+    found = row(
+        db,
+        """SELECT (SELECT count(*) || ' ' || coalesce(max(id), '') FROM result WHERE sweep_id = ?) AS results,
+        (SELECT count(*) || ' ' || coalesce(sum(d.state = 'done'), 0) || ' ' || coalesce(max(d.id), '')
+            FROM comparison JOIN image_difference AS d ON d.id = difference_id WHERE sweep_id = ?) AS compared,
+        (SELECT group_concat(coalesce(device_id, '')) FROM target WHERE sweep_id = ?) AS devices""",
+        (sweep_id, sweep_id, sweep_id),
+    )
+    assert found is not None, "a SELECT without FROM has one row"
+    return (sweep_id, *(str(found[part]) for part in ("results", "compared", "devices")))
+
+
+def _tradeoff(db: Database, sweep: Row, scene: str | None, device: str | None, confidence: float) -> Tradeoff:
     definition = sweeps.definition_of(sweep)
     label = _scene(db, sweep, definition, scene)
     devices = sweeps.target_devices(db, sweep["id"])

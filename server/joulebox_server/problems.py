@@ -47,7 +47,13 @@ KINDS: dict[type[Exception], tuple[int, str, str]] = {
     UnavailableError: (503, "unavailable", "The server cannot do this now"),
     ServerError: (500, "failed", "The server failed"),
 }
-HTTP_CODES = {404: "not_found", 405: "method_not_allowed", 413: "too_large", 416: "range_not_satisfiable"}
+HTTP_CODES = {
+    404: "not_found",
+    405: "method_not_allowed",
+    408: "too_slow",
+    413: "too_large",
+    416: "range_not_satisfiable",
+}
 PROBLEM_TYPE = "application/problem+json"
 RETRY_AFTER_S = 5
 LARGEST_ECHO = 60
@@ -111,6 +117,9 @@ def add_problem_handlers(app: FastAPI) -> None:
     @app.exception_handler(HTTPException)
     async def refused(request: Request, error: Exception) -> JSONResponse:
         assert isinstance(error, HTTPException)
+        if error.status_code == 400 and isinstance(error.__cause__, RecursionError | ValueError):
+            # What FastAPI makes of JSON that Python's reader gives up on.
+            return problem(request, *KINDS[InvalidError], f"the body: {_unreadable(error.__cause__)}")
         code = HTTP_CODES.get(error.status_code, "http_error")
         detail = str(error.detail)
         if error.status_code in (404, 405) and detail in ("Not Found", "Method Not Allowed"):
@@ -124,6 +133,12 @@ def add_problem_handlers(app: FastAPI) -> None:
         log.error("request %s failed", request_id_of(request), exc_info=error)
         detail = f"the server failed; its log says more under {request_id_of(request)}"
         return problem(request, *KINDS[ServerError], detail)
+
+
+def _unreadable(error: BaseException) -> str:
+    if isinstance(error, RecursionError):
+        return "its JSON is nested too deeply"
+    return "it is not UTF-8" if isinstance(error, UnicodeDecodeError) else "it holds a number of too many digits"
 
 
 def field_errors(found: Sequence[Any]) -> list[FieldError]:

@@ -42,6 +42,8 @@ class ServerSettings(BaseModel):
     """Most jobs of one sweep."""
     max_body_bytes: int = Field(default=16 * MEBIBYTE, ge=1024)
     """Longest JSON body."""
+    body_silence_s: FiniteFloat = Field(default=30.0, gt=0)
+    """A body of which nothing came for so long is given up."""
     max_blob_bytes: int = Field(default=512 * MEBIBYTE, ge=1024)
     max_scene_files: int = Field(default=500, ge=1)
     max_scene_bytes: int = Field(default=512 * MEBIBYTE, ge=1024)

@@ -19,6 +19,11 @@ def scene_zip(members: dict[str, bytes] | None = None) -> bytes:
     return buffer.getvalue()
 
 
+def refusal(status: int, problem: dict[str, Any]) -> httpx2.Response:
+    """A refusal as every joulebox server makes it."""
+    return httpx2.Response(status, json=problem, headers={"Content-Type": "application/problem+json"})
+
+
 class FakeFleet:
     """Speaks the agent's part of /v1. `down` refuses connections, `answers` overrides single routes."""
 
@@ -56,9 +61,9 @@ class FakeFleet:
             raise httpx2.ConnectError("Connection refused", request=request)
         for key, (status, problem) in self.answers.items():
             if f"{request.method} {path}".startswith(key):
-                return httpx2.Response(status, json=problem)
+                return refusal(status, problem)
         if path != "/devices" and request.headers.get("Authorization") != f"Bearer {TOKEN}":
-            return httpx2.Response(401, json={"title": "Unauthorized", "detail": "unknown token"})
+            return refusal(401, {"title": "Unauthorized", "detail": "unknown token"})
         return self.route(request.method, path, request.read())
 
     def route(self, method: str, path: str, body: bytes) -> httpx2.Response:
@@ -83,22 +88,21 @@ class FakeFleet:
     def blob(self, method: str, digest: str, body: bytes) -> httpx2.Response:
         if method == "PUT":
             if hashlib.sha256(body).hexdigest() != digest:
-                return httpx2.Response(422, json={"title": "wrong digest"})
+                return refusal(422, {"title": "wrong digest"})
             self.blobs[digest] = body
             return httpx2.Response(201)
         if digest not in self.blobs:
-            return httpx2.Response(404, json={"title": "no such blob"})
+            return refusal(404, {"title": "no such blob"})
         return httpx2.Response(200, content=self.blobs[digest] if method == "GET" else b"")
 
     def result(self, attempt: str, body: bytes) -> httpx2.Response:
         document = json.loads(body)
         for name in ("power_samples", "image_blob"):
             if document.get(name) and document[name] not in self.blobs:
-                return httpx2.Response(
-                    422, json={"title": "missing blob", "detail": f"blob {document[name]} is missing"}
-                )
+                return refusal(422, {"title": "missing blob", "detail": f"blob {document[name]} is missing"})
         if attempt in self.results:
-            same = self.results[attempt] == body
-            return httpx2.Response(200 if same else 409, json={"title": "another result was sent"})
+            if self.results[attempt] != body:
+                return refusal(409, {"title": "another result was sent"})
+            return httpx2.Response(200, json={"accepted": "ok"})
         self.results[attempt] = body
         return httpx2.Response(201, json={"accepted": "ok"})

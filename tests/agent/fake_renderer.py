@@ -1,7 +1,8 @@
 """A scripted program that speaks the loop protocol, for tests of the agent. It renders nothing.
 
 What it does is set through `--set`, as a renderer's settings are:
-    image_s=0.02   length of an image, split 1:3 between the stages direct and indirect
+    image_s=0.02   length of an image, in the stages direct and indirect
+    direct=0.25    share of the first of them
     gap_s=0        pause between images
     misbehave=...  die, garbage, number, hang, hang_at_once, flicker, backwards, other_clock, ignore_term, stop
     misbehave_at=3 image at which it does so
@@ -15,7 +16,8 @@ import signal
 import sys
 import time
 
-KNOWN = {"image_s": 0.02, "gap_s": 0.0, "misbehave": "", "misbehave_at": 3, "seed": 0, "preset": "", "write": "end"}
+KNOWN = {"image_s": 0.02, "direct": 0.25, "gap_s": 0.0, "misbehave": "", "misbehave_at": 3, "seed": 0, "preset": "",
+         "write": "end"}  # fmt: skip
 SCHEMA = {"type": "object", "properties": {key: {} for key in KNOWN}, "additionalProperties": False}
 
 
@@ -90,9 +92,9 @@ def misbehave(how, start_s):
 def render(image, settings):
     start_s = now_s()
     how = settings["misbehave"] if image == settings["misbehave_at"] else ""
-    spin(settings["image_s"] / 4)
+    spin(settings["image_s"] * settings["direct"])
     middle_s = now_s()
-    spin(settings["image_s"] * 3 / 4)
+    spin(settings["image_s"] * (1 - settings["direct"]))
     end_s = now_s()
     times = misbehave(how, start_s)
     if times:

@@ -1,12 +1,14 @@
 """enroll, run and status as commands: tokens, wrong use, signals."""
 
+import contextlib
+import http.server
 import json
 import signal
 import stat
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import httpx2
@@ -14,8 +16,9 @@ import joulebox_agent.cli.fleet as commands
 import pytest
 from agent_testing import RENDERER
 from fake_fleet import TOKEN, FakeFleet
+from joulebox_agent.errors import AgentError
 from joulebox_agent.fleet.server import Server
-from joulebox_agent.fleet.state import Enrolment, StateDir
+from joulebox_agent.fleet.state import Enrolment, StateDir, machine_lock
 
 Agent = Callable[..., tuple[int, str, str]]
 
@@ -114,13 +117,9 @@ def test_a_damaged_state_is_one_sentence(agent: Agent, tmp_path: Path) -> None:
     assert "is damaged; enrol again with --again" in err
 
 
-def test_a_signal_stops_the_real_command_and_its_renderer(tmp_path: Path) -> None:
-    """The installed command against a real socket: one lease, SIGTERM while it renders, the lease comes back."""
-    import http.server
-
-    fleet = FakeFleet()
-    fleet.add_job(1, fleet.add_scene(), image_s=0.1)
-    fleet.jobs[0]["measure"] |= {"window_s": 60}
+@contextlib.contextmanager
+def on_a_socket(fleet: FakeFleet) -> Iterator[str]:
+    """The fake fleet behind a real socket; its URL."""
 
     class Handler(http.server.BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"
@@ -130,6 +129,7 @@ def test_a_signal_stops_the_real_command_and_its_renderer(tmp_path: Path) -> Non
             request = httpx2.Request(self.command, f"http://fleet{self.path}", headers=dict(self.headers), content=body)
             response = fleet.handle(request)
             self.send_response(response.status_code)
+            self.send_header("Content-Type", response.headers.get("Content-Type", "application/octet-stream"))
             if response.status_code != 204:
                 self.send_header("Content-Length", str(len(response.content)))
             self.end_headers()
@@ -140,15 +140,34 @@ def test_a_signal_stops_the_real_command_and_its_renderer(tmp_path: Path) -> Non
         def log_message(self, *words: object) -> None:
             pass
 
-    state = StateDir.at(tmp_path / "state")
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler) as listening:
         thread = threading.Thread(target=listening.serve_forever, args=(0.05,))
         thread.start()
-        url = f"http://127.0.0.1:{listening.server_address[1]}"
-        state.save(Enrolment(server=url, device_id="device-1", token=TOKEN, name="me"))
-        words = ["run", "--state-dir", str(state.root), "--renderer", RENDERER, "--source", "none", "--wait-s", "0"]
-        program = [sys.executable, "-c", "from joulebox_agent.cli import main; main()", *words]
-        process = subprocess.Popen(program, stderr=subprocess.PIPE, text=True)
+        try:
+            yield f"http://127.0.0.1:{listening.server_address[1]}"
+        finally:
+            listening.shutdown()
+            thread.join()
+
+
+def program(lock: Path, *words: str) -> list[str]:
+    """The command as a process, its lock of the machine in a place of its own: tests run beside each other."""
+    start = f"import joulebox_agent.cli.fleet as f, pathlib; f.machine_lock_file = lambda: pathlib.Path({str(lock)!r})"
+    return [sys.executable, "-c", f"{start}; from joulebox_agent.cli import main; main()", *words]
+
+
+def test_a_signal_stops_the_real_command_and_its_renderer(agent: Agent, tmp_path: Path) -> None:
+    """The installed command against a real socket: one lease, SIGTERM while it renders, the lease comes back."""
+    fleet = FakeFleet()
+    fleet.add_job(1, fleet.add_scene(), image_s=0.1)
+    fleet.jobs[0]["measure"] |= {"window_s": 60}
+    state, other = StateDir.at(tmp_path / "state"), StateDir.at(tmp_path / "other")
+    with on_a_socket(fleet) as url:
+        for place in (state, other):
+            place.save(Enrolment(server=url, device_id="device-1", token=TOKEN, name="me"))
+        words = ["run", "--renderer", RENDERER, "--source", "none", "--wait-s", "0", "--state-dir"]
+        command = program(tmp_path / "lock", *words)
+        process = subprocess.Popen([*command, str(state.root)], stderr=subprocess.PIPE, text=True)
         assert process.stderr is not None
         lines = []
         try:
@@ -157,7 +176,11 @@ def test_a_signal_stops_the_real_command_and_its_renderer(tmp_path: Path) -> Non
                 if "rendering cornell" in line:
                     break
             assert state.locked()
-            second = subprocess.run(program, capture_output=True, text=True, timeout=30, check=False)
+            second, third = (
+                subprocess.run([*command, str(place.root)], capture_output=True, text=True, timeout=30, check=False)
+                for place in (state, other)
+            )
+            told = json.loads(agent("status", "--state-dir", state.root, "--source", "none", "--json")[1])
             process.send_signal(signal.SIGTERM)
             rest = process.stderr.read()
             code = process.wait(15)
@@ -165,10 +188,45 @@ def test_a_signal_stops_the_real_command_and_its_renderer(tmp_path: Path) -> Non
             process.kill()
             process.wait()
             process.stderr.close()
-            listening.shutdown()
-            thread.join()
     assert code == 0, "".join(lines) + rest
     assert fleet.releases == [("attempt-1", "the agent was stopped", False)]
     assert second.returncode == 1
     assert "Another joulebox-agent runs on" in second.stderr
-    assert "Traceback" not in rest + second.stderr
+    assert third.returncode == 1
+    assert "Another joulebox-agent measures this machine" in third.stderr
+    assert "Traceback" not in rest + second.stderr + third.stderr
+    assert (told["running"], told["leased"], told["spooled"]) == (True, 1, 0)
+    assert told["doing"].startswith("Job job-1: measure of cornell")
+    after = json.loads(agent("status", "--state-dir", state.root, "--source", "none", "--json")[1])
+    assert (after["running"], after["leased"], after["doing"]) == (False, 0, None)
+
+
+def test_the_machine_s_lock_ends_with_its_holder(tmp_path: Path) -> None:
+    lock = tmp_path / "lock"
+    with machine_lock(lock), pytest.raises(AgentError, match="measures this machine"), machine_lock(lock):
+        pytest.fail("two agents measure this machine")
+    with machine_lock(lock):
+        pass
+    lock.chmod(0o444)  # another user's
+    with machine_lock(lock):
+        pass
+    lock.unlink()
+    lock.symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(AgentError, match="cannot be opened"), machine_lock(lock):
+        pass
+
+
+def test_a_log_of_json_lines(tmp_path: Path) -> None:
+    fleet = FakeFleet()
+    fleet.add_job(1, fleet.add_scene())
+    state = StateDir.at(tmp_path / "state")
+    with on_a_socket(fleet) as url:
+        state.save(Enrolment(server=url, device_id="device-1", token=TOKEN, name="me"))
+        words = ("run", "--once", "--json", "--renderer", RENDERER, "--source", "replay@0.05", "--wait-s", "0")
+        done = subprocess.run(program(tmp_path / "lock", *words, "--state-dir", str(state.root)),
+                              capture_output=True, text=True, timeout=60, check=False)  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    records = [json.loads(line) for line in done.stdout.splitlines()]
+    assert {"ready", "job", "measuring", "delivered"} <= {record["event"] for record in records}
+    assert all({"time", "level", "event", "message"} <= record.keys() for record in records)
+    assert not (tmp_path / "lock").exists()  # a replay measures nothing, so others may run beside it

@@ -10,7 +10,7 @@ from joulebox_agent.estimates.estimate import (
     two_stage_interval,
     windows_needed,
 )
-from joulebox_agent.estimates.windows import Window, WindowSplitter, stage_energies_j
+from joulebox_agent.estimates.windows import Window, stage_energies_j
 from joulebox_agent.loop import ImageEvent, StageEvent
 from joulebox_agent.measuring.stages import StageEvidence, stage_records
 from joulebox_agent.sampling.sampler import Sample
@@ -75,8 +75,7 @@ def test_a_counter_is_interpolated_to_the_edges_and_never_across_an_epoch() -> N
 
 
 def test_equation_2_shares_a_window_by_time() -> None:
-    splitter = WindowSplitter(0.0, 3.0)
-    closed = None
+    window = Window(0.0)
     for k in range(2):
         image = ImageEvent(event="image", image=k, start_s=2.0 * k, end_s=2.0 * k + 1.8, time_s=1.8, cpu_s=3.0,
                            pixel_sha256="a")  # fmt: skip
@@ -85,11 +84,10 @@ def test_equation_2_shares_a_window_by_time() -> None:
             StageEvent(event="stage", image=k, name="indirect", start_s=2.0 * k + 0.5, end_s=2.0 * k + 1.0),
             StageEvent(event="stage", image=k, name="direct", start_s=2.0 * k + 1.0, end_s=2.0 * k + 1.8),
         ]
-        closed = splitter.add(image, stages)
-    assert closed is not None
-    assert closed.images == 2
-    assert closed.wall_s == pytest.approx(3.8)
-    shares = stage_energies_j(closed, 76.0)  # 20 W over 3.8 s
+        window.add(image, stages)
+    assert window.images == 2
+    assert window.wall_s == pytest.approx(3.8)
+    shares = stage_energies_j(window, 76.0)  # 20 W over 3.8 s
     assert shares["direct"] == pytest.approx(20.0 * 2.6)
     assert shares["indirect"] == pytest.approx(20.0 * 1.0)
     assert sum(shares.values()) < 76.0  # the gap between the images keeps its own
@@ -112,21 +110,6 @@ def test_a_stage_tells_what_of_it_is_seen_through_mirrors() -> None:
     assert (direct.time_s, direct.cpu_s) == (pytest.approx(0.5), pytest.approx(1.0))
     assert (direct.specular_time_s, direct.specular_cpu_s) == (pytest.approx(0.2), pytest.approx(0.4))
     assert (indirect.specular_time_s, indirect.specular_cpu_s) == (0.0, 0.0)
-
-
-def test_windows_are_contiguous_and_end_with_images() -> None:
-    splitter = WindowSplitter(10.0, 2.0)
-    ends = [11.5, 12.5, 13.0, 15.0, 15.2]
-    closed = []
-    for k, end_s in enumerate(ends):
-        image = ImageEvent(event="image", image=k, start_s=end_s - 0.1, end_s=end_s, time_s=0.1, cpu_s=0.1,
-                           pixel_sha256="a")  # fmt: skip
-        closed.append(splitter.add(image, []))
-    made = [window for window in closed if window]
-    assert [(w.start_s, w.end_s, w.images) for w in made] == [(10.0, 12.5, 2), (12.5, 15.0, 2)]
-    rest = splitter.rest()
-    assert rest is not None
-    assert rest.images == 1
 
 
 def test_no_source_has_no_energy() -> None:

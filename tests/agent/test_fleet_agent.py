@@ -14,9 +14,12 @@ import pytest
 from agent_testing import DATA, FAKE_COMMAND
 from fake_fleet import TOKEN, FakeFleet, scene_zip
 from joulebox_agent.errors import AgentError, ServerUnreachableError, TokenRejectedError
-from joulebox_agent.fleet.daemon import Daemon, RunOptions
+from joulebox_agent.fleet.daemon import Daemon
+from joulebox_agent.fleet.journal import Journal
+from joulebox_agent.fleet.options import RunOptions
 from joulebox_agent.fleet.server import Server
 from joulebox_agent.fleet.state import StateDir
+from joulebox_agent.fleet.stopping import Stop
 from joulebox_agent.measuring.progress import Lines
 
 FAST: dict[str, Any] = {"source": "replay@0.05", "wait_s": 0.0, "pause_s": 0.01, "longest_pause_s": 0.05}
@@ -36,11 +39,15 @@ class Bench:
     """A daemon on the fake fleet, with its log."""
 
     def __init__(self, state: StateDir, fleet: FakeFleet, token: str = TOKEN, **options: Any) -> None:
-        self.said: list[str] = []
-        self.stop = threading.Event()
+        self.records: list[dict[str, Any]] = []
+        self.stop = Stop()
         server = Server("http://fleet", token, transport=fleet.transport, quick_wait_s=0.001)
         self.daemon = Daemon(state, "device-1", server, FAKE_COMMAND, RunOptions(**(FAST | options)), self.stop,
-                             self.said.append, Lines)  # fmt: skip
+                             Journal(self.records.append, state.doing), Lines)  # fmt: skip
+
+    @property
+    def said(self) -> list[str]:
+        return [record["message"] for record in self.records]
 
 
 def test_jobs_are_measured_and_delivered(state: StateDir, fleet: FakeFleet) -> None:
@@ -239,10 +246,167 @@ def test_a_stop_gives_the_job_back(state: StateDir, fleet: FakeFleet) -> None:
     fleet.add_job(1, fleet.add_scene(), image_s=0.2)
     fleet.jobs[0]["measure"] |= {"window_s": 60}
     bench = Bench(state, fleet)
-    threading.Timer(0.8, bench.stop.set).start()
+    threading.Timer(0.8, bench.stop.ask).start()
     bench.daemon.run()
     assert fleet.releases == [("attempt-1", "the agent was stopped", False)]
     assert fleet.results == {}
+
+
+def long_job(fleet: FakeFleet, window_s: float, min_windows: int = 2) -> None:
+    """A job of very many windows, the renderer's images 20 ms long."""
+    fleet.add_job(1, fleet.add_scene(), image_s=0.02)
+    fleet.jobs[0]["measure"] |= {
+        "window_s": window_s, "min_windows": min_windows, "max_windows": 500, "half_width": 1e-6, "max_seconds": 300,
+    }  # fmt: skip
+
+
+def stop_when(bench: Bench, ready: Callable[[], bool], times: int = 1) -> threading.Thread:
+    """Asks the agent to end as soon as `ready()`, so many times in a row."""
+
+    def wait_and_ask() -> None:
+        deadline = time.monotonic() + 30
+        while not ready() and time.monotonic() < deadline:
+            time.sleep(0.005)
+        for _ in range(times):
+            bench.stop.ask()
+
+    thread = threading.Thread(target=wait_and_ask)
+    thread.start()
+    return thread
+
+
+def windows_told(capfd: pytest.CaptureFixture[str], seen: list[str]) -> int:
+    seen.append(capfd.readouterr().err)
+    return "".join(seen).count("window ")
+
+
+def test_a_stop_keeps_the_windows_that_make_a_result(
+    state: StateDir, fleet: FakeFleet, capfd: pytest.CaptureFixture[str]
+) -> None:
+    long_job(fleet, window_s=0.1)
+    bench, seen = Bench(state, fleet), list[str]()
+    asking = stop_when(bench, lambda: windows_told(capfd, seen) >= 3)
+    bench.daemon.run()
+    asking.join()
+    document = json.loads(fleet.results["attempt-1"])
+    assert 3 <= document["windows"] < 500
+    assert any("a stop of the agent ended it after" in line for line in bench.said)
+    assert fleet.releases == []
+
+
+def test_a_stop_waits_for_the_one_window_that_is_missing(
+    state: StateDir, fleet: FakeFleet, capfd: pytest.CaptureFixture[str]
+) -> None:
+    long_job(fleet, window_s=1.0)
+    bench, seen = Bench(state, fleet), list[str]()
+    asking = stop_when(bench, lambda: windows_told(capfd, seen) >= 1)
+    bench.daemon.run()
+    asking.join()
+    assert json.loads(fleet.results["attempt-1"])["windows"] == 2
+    assert fleet.releases == []
+
+
+@pytest.mark.parametrize("impatience", ["asked twice", "no grace", "several are missing"])
+def test_a_stop_that_cannot_wait_gives_the_job_back(
+    state: StateDir, fleet: FakeFleet, capfd: pytest.CaptureFixture[str], impatience: str
+) -> None:
+    """The next window would take minutes."""
+    long_job(fleet, window_s=0.1, min_windows=2)
+    if impatience == "several are missing":
+        fleet.jobs[0]["measure"] |= {"window_s": 250, "min_windows": 3}
+    else:
+        fleet.jobs[0]["measure"] |= {"window_s": 250, "min_windows": 1}
+    bench = Bench(state, fleet)
+    if impatience == "no grace":
+        bench.stop = bench.daemon._stop = bench.daemon.worker._stop = Stop(grace_s=0.1)
+    asking = stop_when(bench, lambda: "rendering" in capfd.readouterr().err, 2 if impatience == "asked twice" else 1)
+    began_s = time.monotonic()
+    bench.daemon.run()
+    asking.join()
+    assert time.monotonic() - began_s < 60
+    assert fleet.releases == [("attempt-1", "the agent was stopped", False)]
+    assert fleet.results == {}
+
+
+PORTAL = {
+    "a page": httpx2.Response(200, html="<html>Welcome to the hotel</html>"),
+    "a redirect": httpx2.Response(302, headers={"Location": "http://hotel.example/"}),
+    "a refusal": httpx2.Response(403, html="<html>Please sign in</html>"),
+    "not known": httpx2.Response(404, text="Not Found"),
+    "asks for a name": httpx2.Response(401, headers={"WWW-Authenticate": "Basic"}),
+    "sign in first": httpx2.Response(511, html="<html>Please sign in</html>"),
+    "other JSON": httpx2.Response(200, json={"status": "captive"}),
+}
+
+
+@pytest.mark.parametrize("answer", PORTAL)
+def test_the_sign_in_page_of_a_network_takes_no_result(state: StateDir, fleet: FakeFleet, answer: str) -> None:
+    """A laptop away from home: whatever answers every address there, the results wait until it is back."""
+    fleet.add_job(1, fleet.add_scene())
+    fleet.answers["HEAD /blobs"] = (503, {"title": "down"})
+    with pytest.raises(ServerUnreachableError):
+        Bench(state, fleet, once=True).daemon.run()
+    fleet.answers.clear()
+    bench = Bench(state, fleet, idle_exit_s=0.3)
+    portal = httpx2.MockTransport(lambda request: httpx2.Response(
+        PORTAL[answer].status_code, headers=PORTAL[answer].headers, content=PORTAL[answer].content
+    ))  # fmt: skip
+    away = Server("http://fleet", TOKEN, transport=portal, quick_wait_s=0.001)
+    bench.daemon._server = bench.daemon.delivery.server = away
+    bench.daemon.run()
+    assert len(list(state.spool.glob("*.json"))) == 1
+    assert list((state.spool / "bad").iterdir()) == []
+    Bench(state, fleet, once=True).daemon.run()
+    assert fleet.results.keys() == {"attempt-1"}
+
+
+def test_days_without_a_server(state: StateDir, fleet: FakeFleet, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three days, the wall clock stepping by days meanwhile: seldom asked, said once, delivered exactly once."""
+    digest = fleet.add_scene()
+    for number in (1, 2, 3):
+        fleet.add_job(number, digest, meter=False)
+    fleet.answers["HEAD /blobs"] = (503, {"title": "away"})
+    away = Bench(state, fleet, max_jobs=3, longest_pause_s=60.0, pause_s=1.0)
+    away.daemon._server._quick_wait_s = 0.0
+    waited_s: list[float] = []
+    three_days_s = 3 * 86_400
+
+    def wait(timeout_s: float | None = None) -> bool:
+        waited_s.append(timeout_s or 0.0)
+        if sum(waited_s[-1000:]) and sum(waited_s) > three_days_s:
+            away.stop.asked.set()
+        return away.stop.asked.is_set()
+
+    monkeypatch.setattr(away.stop.asked, "wait", wait)
+    monkeypatch.setattr(time, "time", lambda: 1.9e9 + 86_400.0 * (len(waited_s) % 5 - 2))
+    spool = away.daemon.delivery.spool
+    away.daemon.run()  # the first job is measured; its result cannot be delivered, and no other is taken
+    assert len(spool.waiting()) == 1
+    rounds = len(waited_s)
+    assert three_days_s / 60 <= rounds <= three_days_s / 30 + 10
+    assert all(30 <= pause_s <= 60 for pause_s in waited_s[8:])
+    assert waited_s[0] <= 1 and waited_s[3] <= 8
+    assert sum("asks to wait" in line for line in away.said) == 1
+    fleet.answers.clear()
+    Bench(state, fleet, max_jobs=2).daemon.run()
+    assert fleet.results.keys() == {"attempt-1", "attempt-2", "attempt-3"}
+    assert [call for call in fleet.calls if call.endswith("/result")] == [
+        f"PUT /attempts/attempt-{number}/result" for number in (1, 2, 3)
+    ]
+
+
+def test_what_is_logged_is_structured_and_tells_the_job(state: StateDir, fleet: FakeFleet) -> None:
+    fleet.add_job(1, fleet.add_scene())
+    bench = Bench(state, fleet, once=True)
+    bench.daemon.run()
+    for record in bench.records:
+        assert {"time", "level", "event", "message"} <= record.keys()
+        assert record["level"] in ("info", "warning")
+        assert TOKEN not in json.dumps(record)
+    events = [record["event"] for record in bench.records if record["event"] != "note"]
+    assert events == ["ready", "job", "delivered"]
+    job = next(record for record in bench.records if record["event"] == "job")
+    assert (job["job_id"], job["attempt_id"], job["sweep_id"]) == ("job-1", "attempt-1", "sweep")
 
 
 def test_no_job_and_idle_end_quietly(state: StateDir, fleet: FakeFleet) -> None:
@@ -264,13 +428,28 @@ def test_a_killed_agent_gives_its_job_back_when_it_starts_again(state: StateDir,
     fleet.add_job(1, fleet.add_scene(), image_s=0.2)
     fleet.jobs[0]["measure"] |= {"window_s": 60}
     killed = Bench(state, fleet)
-    killed.daemon._work = lambda lease: killed.stop.set()  # type: ignore[method-assign]  # as if it ended here
+    killed.daemon.worker.do = lambda lease: bool(killed.stop.ask())  # type: ignore[method-assign]  # as if it ended here
     killed.daemon.run()
     assert fleet.releases == []
     assert state.leased() == ["attempt-1"]
     Bench(state, fleet, once=True).daemon.run()
     assert fleet.releases == [("attempt-1", "the agent was killed while it had this job", False)]
     assert state.leased() == []
+
+
+def test_a_killed_agent_that_had_its_result_safe_delivers_it_and_gives_nothing_back(
+    state: StateDir, fleet: FakeFleet
+) -> None:
+    """Killed between the spool and the note that the attempt is done: the result is what the server wants."""
+    fleet.add_job(1, fleet.add_scene())
+    fleet.answers["HEAD /blobs"] = (503, {"title": "down"})
+    with pytest.raises(ServerUnreachableError):
+        Bench(state, fleet, once=True).daemon.run()
+    state.leases.write_text('["attempt-1"]')
+    fleet.answers.clear()
+    Bench(state, fleet, once=True).daemon.run()
+    assert fleet.results.keys() == {"attempt-1"}
+    assert fleet.releases == []
 
 
 def test_a_delivered_job_is_not_given_back(state: StateDir, fleet: FakeFleet) -> None:

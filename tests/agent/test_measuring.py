@@ -96,6 +96,8 @@ def test_the_warm_up_image_is_in_no_window(tmp_path: Path) -> None:
     assert record.warm_up is not None
     assert record.warm_up.image == 0
     assert record.windows[0].start_s == record.warm_up.end_s
+    assert [w.start_s for w in record.windows[1:]] == [w.end_s for w in record.windows[:-1]]
+    assert {w.end_s for w in record.windows} <= {image.end_s for image in record.images}
     assert sum(w.images for w in record.windows) <= len(record.images)
 
 

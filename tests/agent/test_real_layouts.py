@@ -195,6 +195,10 @@ LAYOUTS: dict[str, tuple[Nodes, float]] = {
         {"BATC": {"type": "Battery", "status": "Discharging", "power_now": 11_000_000}},
         11.0,
     ),
+    "words in other letters": (
+        {"BAT0": battery(type="battery", power_now=9_000_000), "pen": battery(scope="device", power_now=4_000_000)},
+        9.0,
+    ),
     "status in other letters": (
         {"battery": {"type": "Battery", "status": "DISCHARGING", "current_now": 500_000, "voltage_now": 3_900_000}},
         1.95,

@@ -71,7 +71,8 @@ def test_a_bad_trace_names_its_row(text: str, words: str) -> None:
         parse_trace(text, "bad.csv", as_json=False)
 
 
-@pytest.mark.parametrize("name", ["replay@soon", "replay@0", "replay@-1", "replay@nan", "replay:/no/such.csv", "solar"])
+@pytest.mark.parametrize("name", ["replay@soon", "replay@0", "replay@-1", "replay@nan", "replay:/no/such.csv", "solar",
+                                  "replay:/dev/zero", "replay:/dev/null", "replay:/"])  # fmt: skip
 def test_a_bad_source_is_wrong_use(name: str) -> None:
     with pytest.raises(UsageError):
         choose(name)

@@ -47,6 +47,19 @@ def test_refresh_is_measured_although_coarse_values_repeat(refresh_s: float, ste
     assert series.update_count(0.0, 90 * refresh_s) == pytest.approx(90, abs=1)
 
 
+def test_looks_out_of_turn_do_not_shorten_the_refresh() -> None:
+    """A dozen updates of a gauge that refreshes at every poll, and four looks at windows' edges. Two looks within one
+    refresh were taken for updates 0.1 s apart. Each of the four looks splits one of 11 spacings: one more is counted
+    at the most (15 of 5.5 s), or one less (7)."""
+    for seed in range(40):
+        phase_s, *looks_s = RNG(seed).uniform(0.0, 0.5, 5)
+        polls_s = np.sort([*np.arange(0.0, 6.0, 0.5), *(1.5 * k + look_s for k, look_s in enumerate(looks_s))])
+        power_w = 17.0 + 0.4 * RNG(100 + seed).standard_normal(20)
+        shown = [float(power_w[int((poll_s + phase_s) / 0.5)]) for poll_s in polls_s]
+        samples = [Sample(float(t), Reading(power_w=w, raw=(w,))) for t, w in zip(polls_s, shown, strict=True)]
+        assert 5.5 / 15 <= (PowerSeries(samples).refresh_s() or 0.0) <= 5.5 / 7
+
+
 def test_a_counter_that_moves_at_every_poll_does_not_hide_the_gauge_s_refresh() -> None:
     times_s, power_w = noisy(4.0, 200.0)
     samples = [Sample(s.time_s, Reading(power_w=s.reading.power_w, counter_j=17.0 * s.time_s,

@@ -12,6 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from joulebox_agent.errors import ServerUnreachableError, SpoolFullError, TokenRejectedError
 from joulebox_agent.fleet.delivery import Delivery
+from joulebox_agent.fleet.journal import Journal
 from joulebox_agent.fleet.server import Server
 from joulebox_agent.fleet.spool import BadEntryError, Entry, Spool
 
@@ -35,6 +36,11 @@ def fleet() -> FakeFleet:
     return FakeFleet()
 
 
+def kept_in(said: list[str]) -> Journal:
+    """A journal whose sentences are kept."""
+    return Journal(lambda record: said.append(record["message"]))
+
+
 @pytest.fixture
 def said() -> list[str]:
     return []
@@ -43,7 +49,7 @@ def said() -> list[str]:
 @pytest.fixture
 def delivery(spool: Spool, fleet: FakeFleet, said: list[str]) -> Delivery:
     server = Server("http://fleet", TOKEN, transport=fleet.transport, quick_wait_s=0.001)
-    return Delivery(spool, server, said.append)
+    return Delivery(spool, server, kept_in(said))
 
 
 def test_an_entry_survives_and_is_forgotten_once_delivered(spool: Spool, delivery: Delivery, fleet: FakeFleet) -> None:
@@ -209,7 +215,7 @@ def test_a_result_goes_straight_to_the_server_when_the_disk_stays_full(
 
 def test_a_revoked_token_keeps_everything(spool: Spool, fleet: FakeFleet, said: list[str]) -> None:
     server = Server("http://fleet", "revoked", transport=fleet.transport, quick_wait_s=0.001)
-    delivery = Delivery(spool, server, said.append)
+    delivery = Delivery(spool, server, kept_in(said))
     delivery.keep(entry(1), BLOBS)
     with pytest.raises(TokenRejectedError, match="unknown token"):
         delivery.send_all()
@@ -257,7 +263,7 @@ def test_whatever_stands_in_a_file_blocks_nobody(tmp_path_factory: pytest.TempPa
     fleet, said = FakeFleet(), list[str]()
     spool = Spool(tmp_path_factory.mktemp("any") / "spool")
     delivery = Delivery(
-        spool, Server("http://fleet", TOKEN, transport=fleet.transport, quick_wait_s=0.001), said.append
+        spool, Server("http://fleet", TOKEN, transport=fleet.transport, quick_wait_s=0.001), kept_in(said)
     )
     (spool.folder / "a.json").write_bytes(content)
     os.utime(spool.folder / "a.json", (1, 1))  # the oldest: its turn comes first

@@ -107,8 +107,7 @@ def front_row(scene: str, ours: Sequence[Measured]) -> Row:
         if preset.name in NAMED
         for error in ("relmse", "flip")
         for other in ours
-        if other.cpu_s <= FRONT_MARGIN * preset.cpu_s
-        and getattr(other, error) <= FRONT_MARGIN * getattr(preset, error)
+        if other.cpu_s <= FRONT_MARGIN * preset.cpu_s and getattr(other, error) <= FRONT_MARGIN * getattr(preset, error)
     ]
     measured = "; ".join(beaten) or f"{len(ours)} candidates, none cheaper and better by 5 % each"
     return Row(f"{scene}: {', '.join(NAMED)}", "on the measured front of error against CPU time", measured, not beaten)

@@ -9,12 +9,12 @@ import errno
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from joulebox_agent.estimates.energies import IDLE_PIECES, WindowEnergies, idle_power, window_energies
 from joulebox_agent.estimates.estimate import Interval, net_of_idle, two_stage_interval, windows_needed
-from joulebox_agent.estimates.windows import Window, WindowSplitter
-from joulebox_agent.loop import ImageEvent, StageEvent
+from joulebox_agent.estimates.windows import Window
 from joulebox_agent.sampling.sampler import Sampler
 from joulebox_agent.sampling.series import PowerSeries
 from joulebox_agent.sources.battery_counter import PackCounter
@@ -71,7 +71,8 @@ class Tree(Sysfs):
         supplies = self.root / "class" / "power_supply"
         self._battery, cable = supplies / "BAT0", supplies / "AC"
         self._folders = {supplies: [cable, self._battery]}
-        self._texts: dict[Path, str] | None = None if root else {}
+        self._power, self._energy = self._battery / "power_now", self._battery / "energy_now"
+        self._texts: dict[str, str] | None = None if root else {}
         for folder, files in (
             (cable, {"type": "Mains", "online": "0"}),
             (self._battery, {"type": "Battery", "present": "1", "status": "Discharging", "voltage_now": "11800000",
@@ -82,21 +83,21 @@ class Tree(Sysfs):
 
     def show(self, power_uw: int, energy_uwh: int) -> None:
         """What the gauge says from now on."""
-        self._put(self._battery / "power_now", str(power_uw))
-        self._put(self._battery / "energy_now", str(energy_uwh))
+        self._put(self._power, str(power_uw))
+        self._put(self._energy, str(energy_uwh))
 
     def _put(self, path: Path, text: str) -> None:
         if self._texts is None:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text + "\n")
         else:
-            self._texts[path] = text
+            self._texts[str(path)] = text
 
     def text(self, path: Path) -> str:
         if self._texts is None:
             return super().text(path)
         try:
-            return self._texts[path]
+            return self._texts[str(path)]
         except KeyError:
             raise OSError(errno.ENOENT, "not in this tree", str(path)) from None
 
@@ -144,22 +145,38 @@ class Run:
         self._sampler.sample()
 
 
+class _Image(NamedTuple):
+    """What a window takes from an image's event; making thousands of those would take longer than reading the tree."""
+
+    image: int
+    start_s: float
+    end_s: float
+    time_s: float
+    cpu_s: float = 0.0
+
+
+class _Stage(NamedTuple):
+    """The same of a stage's event."""
+
+    name: str
+    start_s: float
+    end_s: float
+    cpu_s: float = 0.0
+    rays: float = 0.0
+    through_specular: bool = False
+
+
 def windows_of(block: list[Image], window_s: float) -> list[Window]:
     """The windows the agent would make of these images; the first image is its warm-up."""
     first, *images = block
-    splitter = WindowSplitter(first[-1][2], window_s)
-    windows = []
+    windows: list[Window] = []
+    now = Window(first[-1][2])
     for number, image in enumerate(images):
         begin_s, end_s = image[0][1], image[-1][2]
-        event = ImageEvent.model_construct(
-            image=number, start_s=begin_s, end_s=end_s, time_s=end_s - begin_s, cpu_s=0.0
-        )
-        stages = [
-            StageEvent.model_construct(image=number, name=name, start_s=start_s, end_s=stop_s)
-            for name, start_s, stop_s in image
-        ]
-        if window := splitter.add(event, stages):
-            windows.append(window)
+        now.add(_Image(number, begin_s, end_s, end_s - begin_s), [_Stage(*stage) for stage in image])
+        if now.wall_s >= window_s:
+            windows.append(now)
+            now = Window(now.end_s)
     return windows
 
 
@@ -169,12 +186,12 @@ def measure(seed: int, machine: Machine, gauge: Gauge, rule: Rule, root: Path | 
     discharge = script(rng, [machine], rule.most * (rule.window_s + 1.2 * machine.image_s) + 3 * machine.image_s)
     windows = windows_of(discharge.blocks[0], rule.window_s)[: rule.most]
     run = Run(rng, discharge, gauge, rule.source, root)
-    count, found = rule.pilot, _energies(run, windows[: rule.pilot], rule.pilot)
+    count, found = rule.pilot, _energies(run, windows[: rule.pilot])
     if rule.most > rule.pilot and None not in found.gross_j:
         pilot = _per_image(found, windows[:count])
-        needed = windows_needed(pilot, rule.half_width, widening=found.widening)
+        needed = windows_needed(pilot, rule.half_width, drift_share=found.drift_share)
         count = min(rule.most, needed)
-        found = _energies(run, windows[:count], rule.pilot)
+        found = _energies(run, windows[:count])
     windows = windows[:count]
     idle_w = None
     if rule.idle:
@@ -186,16 +203,18 @@ def measure(seed: int, machine: Machine, gauge: Gauge, rule: Rule, root: Path | 
     per_image = [energy_j / w.images for energy_j, w in zip(drawn_j, windows, strict=True)]
     gross = net = None
     if None not in found.gross_j:
-        gross = two_stage_interval(_per_image(found, windows), rule.pilot, widening=found.widening)
+        values_j = _per_image(found, windows)
+        drift_half_j = found.drift_share * float(np.mean(values_j))
+        gross = two_stage_interval(values_j, rule.pilot, drift_half=drift_half_j)
         if idle_w is not None:
             times_s = [w.wall_s / w.images for w in windows]
-            net = net_of_idle(_per_image(found, windows), times_s, idle_w, 2 * IDLE_PIECES, rule.pilot, found.widening)
+            net = net_of_idle(values_j, times_s, idle_w, 2 * IDLE_PIECES, rule.pilot, drift_half_j)
     return Measured(gross, net, float(np.mean(per_image)), windows, found, drawn_j)
 
 
-def _energies(run: Run, windows: list[Window], pilot: int) -> WindowEnergies:
+def _energies(run: Run, windows: list[Window]) -> WindowEnergies:
     series = run.read_until(windows[-1].end_s)
-    return window_energies(series, run.source, windows, run.resolution_j, pilot)
+    return window_energies(series, run.source, windows, run.resolution_j)
 
 
 def _per_image(found: WindowEnergies, windows: list[Window]) -> list[float]:

@@ -57,9 +57,9 @@ def test_drift_widens_the_interval_and_a_steady_machine_s_is_left_alone() -> Non
     results = [measure(seed, wandering, case.gauge, rule) for seed in range(60)]
     held = [r.gross is not None and r.gross.low <= wandering.image_j <= r.gross.high for r in results]
     assert np.mean(held) >= 0.88  # 3 sigma below 0.97
-    plain = [measure(seed, case.machine, case.gauge, rule).energies.widening for seed in range(40)]
-    assert np.median(plain) == 1.0
-    assert np.median([r.energies.widening for r in results]) > 1.5
+    plain = [measure(seed, case.machine, case.gauge, rule).energies.drift_share for seed in range(40)]
+    assert np.median(plain) == 0.0
+    assert np.median([r.energies.drift_share for r in results]) > 0.02
 
 
 @pytest.mark.parametrize("name", [case.name for case in CASES if case.group == COARSE])

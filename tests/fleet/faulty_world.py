@@ -21,10 +21,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
+import stamina.instrumentation
 import uvicorn
 from joulebox_agent.errors import ServerRefusedError, ServerUnreachableError
 from joulebox_agent.fleet import spool as agent_spool
 from joulebox_agent.fleet.delivery import Delivery
+from joulebox_agent.fleet.journal import Journal
 from joulebox_agent.fleet.server import Server as Client
 from joulebox_agent.fleet.spool import Entry, Spool
 from joulebox_server.app import create_app
@@ -125,8 +127,9 @@ def measure_and_deliver(url: str, device: Device, state: Path, ledger: Path, fau
         write(path, content)
 
     agent_spool.write_whole = hurried
+    stamina.instrumentation.set_on_retry_hooks([])
     client = Client(url, device.token, timeout_s=5, quick_wait_s=0.01)
-    delivery = Delivery(Spool(state), client, lambda _: None)
+    delivery = Delivery(Spool(state), client, Journal(lambda record: None))
     delivery.spool.sweep()
     while True:
         try:

@@ -51,11 +51,17 @@ RIGHTS: dict[str, tuple[set[str], dict[str, Any]]] = {
     "GET /v1/sweeps/{sweep}/recommendation": (READ, {}),
     "GET /v1/sweeps/{sweep}/charts/tradeoff.{form}": (READ, {}),
     "GET /v1/sweeps/{sweep}/charts/stages.{form}": (READ, {}),
+    "GET /v1/sweeps/{sweep}/charts/trace.{form}": (READ, {"params": {"point": "none"}}),
+    "GET /v1/sweeps/{sweep}/points/{configuration_id}": (READ, {}),
+    "GET /v1/sweeps/{sweep}/progress": (READ, {}),
+    "POST /v1/sweeps:read": (CHANGE, {"content": "name = 'x'", "headers": {"Content-Type": "text/plain"}}),
+    "GET /v1/fleet": (READ, {}),
     "GET /v1/compare": (READ, {"params": {"reference": ZEROS, "test": ZEROS}}),
     "GET /v1/compare/versions": (READ, {"params": {"reference": ZEROS, "test": ZEROS}}),
     "POST /v1/differences:recompute": (CHANGE, {"params": {"sweep": "none"}}),
     "POST /v1/sweeps/{sweep}/recommendation:confirm": (CHANGE, {"json": {"count": 1}}),
     "GET /v1/images/{sha256}.png": (READ, {}),
+    "GET /v1/images/{sha256}.pfm": (READ, {}),
     "GET /v1/events": (READ, {"params": {"sweep": "none"}}),
     "GET /metrics": (READ, {}),
     "GET /healthz": (ANYBODY, {}),
@@ -77,14 +83,14 @@ class Asked:
 
     def status(self, route: str, role: str) -> int:
         method, path = route.split()
-        for name in ("sweep", "job", "attempt_id", "device"):
+        for name in ("sweep", "job", "attempt_id", "device", "configuration_id"):
             path = path.replace(f"{{{name}}}", UUID)
         path = path.replace("{device_id}", self.device.device_id).replace("{sha256}", ZEROS)
         path = path.replace("{form}", "svg").replace("{name}", "none.whl")
         options = dict(RIGHTS[route][1])
         if options.get("json") == "a measure document":
             options["json"] = self.document
-        headers = self.tokens[role] | {"Host": "lab.example"}
+        headers = self.tokens[role] | {"Host": "lab.example"} | options.pop("headers", {})
         return int(self.server.client.request(method, path, headers=headers, **options).status_code)
 
 

@@ -72,9 +72,7 @@ def foreign_imports(source: str) -> set[str]:
             names.add(node.module)
     inside = "joulebox_render.kernels."
     return {
-        name
-        for name in names
-        if name.split(".")[0] not in KERNELS_MAY_IMPORT and not f"{name}.".startswith(inside)
+        name for name in names if name.split(".")[0] not in KERNELS_MAY_IMPORT and not f"{name}.".startswith(inside)
     }
 
 

@@ -63,9 +63,7 @@ def beneath(folder: Path) -> set[str]:
         ("server", "server/joulebox_server", "joulebox_server"),
     ],
 )
-def test_everything_travels(
-    root: Path, wheels: dict[str, Path], distribution: str, folder: str, inside: str
-) -> None:
+def test_everything_travels(root: Path, wheels: dict[str, Path], distribution: str, folder: str, inside: str) -> None:
     expected = {f"{inside}/{name}" for name in beneath(root / folder)}
     assert expected
     assert expected - contents(wheels[distribution]) == set()
@@ -108,9 +106,7 @@ def installed(root: Path, wheels: dict[str, Path], tmp_path_factory: pytest.Temp
 
 @pytest.mark.long
 @pytest.mark.parametrize(("command", "distribution"), PROGRAMS.items())
-def test_the_installed_commands_answer(
-    installed: Path, tmp_path: Path, command: str, distribution: str
-) -> None:
+def test_the_installed_commands_answer(installed: Path, tmp_path: Path, command: str, distribution: str) -> None:
     program = f"import importlib.metadata; print(importlib.metadata.version('{distribution}'))"
     version = run(installed / "python", "-c", program, cwd=tmp_path).strip()
     assert version in run(installed / command, "--version", cwd=tmp_path)

@@ -17,6 +17,7 @@ from plain_settings import PLAIN
 # A camera at the origin that looks along -z, so that film x runs along +x and film y along -y.
 CAMERA = '<transform name="to_world"><lookat origin="0,0,0" target="0,0,-1" up="0,1,0"/></transform>'
 
+
 def scene_text(body: str, camera: str = CAMERA, fov_deg: float = 60.0) -> str:
     """A scene file around `body`: a camera with a square film of 16 x 16 pixels."""
     return (

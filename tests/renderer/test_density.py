@@ -166,4 +166,3 @@ def test_the_nearest_record_is_looked_up() -> None:
     expected = np.where(distance.min(axis=1)[:, None] < 0.2, records[distance.argmin(axis=1)], 0)
     np.testing.assert_array_equal(found, expected)
     assert (expected == 0).all(axis=1).any(), "some points lie beyond reach"
-

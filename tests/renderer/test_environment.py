@@ -122,9 +122,7 @@ def test_a_mirror_shows_the_sky(make_scene: Make, render: Render) -> None:
 @pytest.mark.parametrize("ior", [1.5, 0.7])
 def test_the_white_furnace_of_glass(make_scene: Make, render: Render, z_score: Z, ior: float) -> None:
     """A glass ball in a uniform sky cannot be seen: what it reflects and lets through adds up to what is behind it."""
-    glass = (
-        f'<bsdf type="dielectric"><float name="int_ior" value="{ior}"/><float name="ext_ior" value="1"/></bsdf>'
-    )
+    glass = f'<bsdf type="dielectric"><float name="int_ior" value="{ior}"/><float name="ext_ior" value="1"/></bsdf>'
     ball = f'<shape type="sphere"><point name="center" value="0,0,-3"/><float name="radius" value="2"/>{glass}</shape>'
     scene = make_scene(ball + SKY)
     pixels = render(scene, width=48, height=48, max_depth=100, **ONE).pixels / RADIANCE
@@ -156,10 +154,7 @@ def test_an_open_plane_reflects_albedo_times_the_sky(
 def test_a_wall_hides_its_part(make_scene: Make, render: Render, z_score: Z, sampler: str) -> None:
     """Beside an endless wall of height h a point at x sees (1 + x / (x^2 + h^2)^(1/2)) / 2; half at its foot."""
     height = 2.0
-    wall = (
-        f'<shape type="rectangle">{place(scale="2,900,1", rotate="y 90")}'
-        f"{diffuse('0')}</shape>"
-    )
+    wall = f'<shape type="rectangle">{place(scale="2,900,1", rotate="y 90")}{diffuse("0")}</shape>'
     scene = make_scene(FLOOR.replace("100", "1000") + wall + SKY, camera=camera("2,0,0.5", "2,0,0"), fov_deg=150)
     pixels = render(scene, width=32, height=32, shadow_rays=36, sampler=sampler, **ONE, jitter=False).pixels
     x = 2 + 0.5 * math.tan(math.radians(75)) * (2 * (np.arange(32) + 0.5) / 32 - 1)
@@ -212,9 +207,7 @@ def test_photons_land_on_a_ball_everywhere_alike(make_scene: Make, open_session:
     # The ball of the light is the bounding box's: (R / r)^2 = 1/3 of what enters meets the ball.
     share = 1 / 3 / 1.0001**2
     assert abs(len(photons.number) - share * count) < SIGMAS * math.sqrt(share * (1 - share) * count)
-    np.testing.assert_allclose(
-        photons.flux[0], math.pi * RADIANCE * 4 * math.pi * 0.7**2 / share, rtol=1e-4
-    )
+    np.testing.assert_allclose(photons.flux[0], math.pi * RADIANCE * 4 * math.pi * 0.7**2 / share, rtol=1e-4)
 
 
 def test_photons_on_a_plane_bring_pi_times_the_sky(make_scene: Make, open_session: Open) -> None:

@@ -42,9 +42,7 @@ def test_the_cube_furnace_by_paths(render: Render, z_score: Z, sampler: str, ref
 
 
 @pytest.mark.parametrize(("spacing", "noise"), [(0, 0.004), (4, 0.02)])
-def test_the_cube_furnace_by_final_gathering(
-    open_session: Callable[..., Any], spacing: int, noise: float
-) -> None:
+def test_the_cube_furnace_by_final_gathering(open_session: Callable[..., Any], spacing: int, noise: float) -> None:
     """As bright as it should be: density estimates are made up for where their discs hang over edges.
 
     The picture is emission 0.5, direct light 0.25 and gathered light 0.25. The same seed draws the same shadow rays,
@@ -64,9 +62,7 @@ def test_the_cube_furnace_by_final_gathering(
 
 
 @pytest.mark.parametrize("bounces", [0, 1, 2])
-def test_gathered_light_has_bounced_as_often_as_photons_may(
-    open_session: Callable[..., Any], bounces: int
-) -> None:
+def test_gathered_light_has_bounced_as_often_as_photons_may(open_session: Callable[..., Any], bounces: int) -> None:
     """Radiance 0.5 (0.5^2 + ... + 0.5^(bounces + 2)): a gather's own reflections, direct light at its rays' ends, and
     one term for each bounce of a photon. Corners, where a second gather asks in place of the map, add none to them.
 

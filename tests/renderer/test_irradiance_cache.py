@@ -12,16 +12,16 @@ from joulebox_render.clock import StageClock
 from joulebox_render.integrator import illumination, make_maps
 from joulebox_render.kernels.irradiance import clamp_neighbours, interpolate_irradiance, summarize_gather
 from joulebox_render.kernels.rng import path_key
-from joulebox_render.kernels.transport import gather_rays
-from joulebox_render.records import Points, Rays
+from joulebox_render.records import Points
 from joulebox_render.session import Image
 from joulebox_render.stages.eye import camera_frame, look
-from joulebox_render.stages.gather import NOT_BENT
+from joulebox_render.stages.gather import NOT_BENT, aim_gather
 from joulebox_render.stages.irradiance_cache import (
     LEAST_PIXELS,
     MOST_PIXELS,
     CacheRecords,
     IrradianceCache,
+    Strata,
     fill_cache,
     gather_records,
     index_records,
@@ -68,15 +68,23 @@ def gathered(points: Points, polar: int = POLAR, azimuth: int = AZIMUTH) -> Cach
     count = polar * azimuth
     records = CacheRecords.empty(len(points.owner))
     for row in range(len(points.owner)):
-        rays = Rays.empty(count)
-        gather_rays(points, row, row + 1, count, polar, NOT_BENT, rays)
+        rays = aim_gather(points, row, row + 1, count, polar, NOT_BENT)
         z = rays.direction[:, 2].astype(float)
         distance = np.where(z > 1e-3, (1 - points.position[row, 2]) / np.maximum(z, 1e-3), 1e3)
         at = points.position[row] + distance[:, None] * rays.direction
         incident = np.where(z[:, None] > 1e-3, radiance(at[:, 0], at[:, 1]), 0.0)
         near, far = np.zeros(1, np.float32), np.full(1, 1e9, np.float32)
         summarize_gather(
-            points, row, polar, azimuth, LOOSE, incident, distance.astype(np.float32), near, far, records, row
+            points,
+            row,
+            Strata.of(polar, azimuth),
+            LOOSE,
+            incident,
+            distance.astype(np.float32),
+            near,
+            far,
+            records,
+            row,
         )
     return records
 
@@ -125,13 +133,14 @@ def test_gradients_lie_in_the_tangent_plane() -> None:
 def test_the_radius_is_the_harmonic_mean_distance() -> None:
     """Under a plane of one radiance at height h, 1 / distance is cos / h, 2 / (3 h) in the mean."""
     points = points_at([PLACES[0]], NORMALS["upright"])
-    rays = Rays.empty(12 * 36)
-    gather_rays(points, 0, 1, 12 * 36, 12, NOT_BENT, rays)
+    rays = aim_gather(points, 0, 1, 12 * 36, 12, NOT_BENT)
     distance = (0.8 / np.maximum(rays.direction[:, 2], 1e-3)).astype(np.float32)
     records = CacheRecords.empty(1)
     bounds = np.zeros(1, np.float32), np.full(1, 1e9, np.float32)
     for tolerance in (LOOSE, 1.6):
-        summarize_gather(points, 0, 12, 36, tolerance, np.ones((12 * 36, 3)), distance, *bounds, records, 0)
+        summarize_gather(
+            points, 0, Strata.of(12, 36), tolerance, np.ones((12 * 36, 3)), distance.copy(), *bounds, records, 0
+        )
         # A record does not reach beyond the nearest surface, here straight above: tolerance x radius <= height.
         expected = min(1.5 * 0.8, 0.8 / tolerance)
         assert records.radius[0] == pytest.approx(expected, rel=0.01 if tolerance == LOOSE else 0.1)
@@ -157,12 +166,11 @@ def test_bounds_of_the_radius_are_kept_and_gradients_scaled() -> None:
     count = 12 * 36
     bound = CacheRecords.empty(3)
     for row in range(3):
-        rays = Rays.empty(count)
-        gather_rays(points, row, row + 1, count, 12, NOT_BENT, rays)
+        rays = aim_gather(points, row, row + 1, count, 12, NOT_BENT)
         distance = (1 - points.position[row, 2]) / rays.direction[:, 2].astype(float)
         at = points.position[row] + distance[:, None] * rays.direction
         summarize_gather(
-            points, row, 12, 36, LOOSE, radiance(at[:, 0], at[:, 1]), distance.astype(np.float32),
+            points, row, Strata.of(12, 36), LOOSE, radiance(at[:, 0], at[:, 1]), distance.astype(np.float32),
             near[row : row + 1], far[row : row + 1], bound, row,
         )  # fmt: skip
     np.testing.assert_allclose(bound.radius, [free.radius[0], 5.0, 0.25], rtol=1e-6)

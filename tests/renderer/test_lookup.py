@@ -4,14 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from joulebox_render.kernels.lookup import NO_CELL, cell_key, look_up_irradiance, nearest_records
+from joulebox_render.kernels.lookup import (
+    ALWAYS,
+    FROM_AFAR,
+    NEVER,
+    NO_CELL,
+    answer_rays,
+    cell_key,
+    look_up_irradiance,
+    nearest_records,
+)
 from joulebox_render.pool import WorkerPool
-from joulebox_render.records import Scratch
+from joulebox_render.records import Hits, Points, Rays, Scratch
 from joulebox_render.stages.photon_map import grow_tree
 from joulebox_render.stages.precomputed import IrradianceRecords, IrradianceTable, empty_table, tabulate
 
@@ -51,9 +61,7 @@ def looked_up(records: IrradianceRecords, at: Any, normal: Any) -> tuple[Any, An
     fast = np.empty((len(at), 3), np.float32)
     rest = (at, normals, records.reach_m, COS_LIMIT, Scratch.empty(1))
     unsure, row = np.empty(len(at), np.uint8), np.empty(len(at), np.int32)
-    met = look_up_irradiance(
-        records.table, records.tree, records.irradiance, records.doubtful, *rest, fast, unsure
-    )
+    met = look_up_irradiance(records.table, records.tree, records.irradiance, records.doubtful, *rest, fast, unsure)
     nearest_records(records.tree, *rest, row)
     exact = np.where(row[:, None] >= 0, records.irradiance[row], np.float32(0))
     return fast, exact, met
@@ -222,3 +230,39 @@ def test_a_doubtful_record_makes_its_cells_unsure() -> None:
         table = tabulate(context_of(pool), records, COS_LIMIT, EDGE, 1.3 * EDGE, 1e-6)
     assert not table.light[table.key != NO_CELL, 3].any()
     assert records.table.light[records.table.key != NO_CELL, 3].any()
+
+
+@pytest.mark.parametrize(("trust", "told_from"), [(ALWAYS, 1.5), (FROM_AFAR, 3.0), (NEVER, math.inf)])
+def test_a_cell_answers_rays_that_come_from_far_enough(
+    make_scene: Callable[..., Path], open_session: Callable[..., Any], trust: float, told_from: float
+) -> None:
+    """From 1.5 resolutions on, from twice as far where something stands beside the cell, or never; from a third of that
+    on some are told by chance. Every ray is either told, at 0.5 / pi x weight x 2 W/m^2, or becomes a point to light.
+    """
+    random = np.random.default_rng(12)
+    records = records_at(spread(random, 4000), UP, np.full((4000, 3), 2.0))
+    records.table.light[:, 3] = trust
+    count, resolution = 2000, 0.02
+    rays = Rays.empty(count)
+    share = random.uniform(0, 4, count)
+    rays.origin[:], rays.direction[:] = spread(random, count, 0.8), (0, 0, -1)
+    rays.origin[:, 2], rays.weight[:] = share * resolution, 0.25
+    rays.owner[:] = rays.sample[:] = np.arange(count)
+    rays.key[:] = 99
+    floor = '<shape type="rectangle"><bsdf type="diffuse"><rgb name="reflectance" value="0.5"/></bsdf></shape>'
+    context = open_session(make_scene(floor + '<emitter type="point"/>')).context
+    hits = Hits(*context.intersector.closest(rays.origin, rays.direction))
+    radiance, near, rest = np.zeros((count, 3)), Points.empty(count), np.empty(count, np.int32)
+    near_count, rest_count = answer_rays(context.tables, records.table, resolution, rays, hits, radiance, near, rest)
+    told = radiance[:, 0] > 0
+    assert rest_count == 0
+    assert sorted([*near.owner[:near_count], *np.flatnonzero(told)]) == list(range(count))
+    np.testing.assert_allclose(radiance[told], 0.25 * 0.5 * 2.0 / math.pi, rtol=1e-6)
+    np.testing.assert_array_equal(near.weight[:near_count], 0.25)
+    np.testing.assert_allclose(near.albedo[:near_count], 0.5)
+    cells = np.isin([cell_key(records.table, *at, *UP) for at in rays.origin * (1, 1, 0) + (0, 0, 1e-5)],
+                    records.table.key)  # fmt: skip
+    assert told[cells & (share > told_from)].all()
+    assert not told[share < told_from / 3].any()
+    between = told[cells & (share > 0.4 * told_from) & (share < 0.9 * told_from)]
+    assert math.isinf(told_from) or 0 < between.mean() < 1

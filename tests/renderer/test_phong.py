@@ -228,9 +228,7 @@ def trace(session: Any, count: int) -> Photons:
 
 @pytest.mark.parametrize("exponent", [1, 30])
 @pytest.mark.parametrize("sampler", ["independent", "sobol"])
-def test_the_ledger_of_photons(
-    make_scene: Make, open_session: Open, z_score: Z, exponent: float, sampler: str
-) -> None:
+def test_the_ledger_of_photons(make_scene: Make, open_session: Open, z_score: Z, exponent: float, sampler: str) -> None:
     """Half the photons meet a wide Phong plate close to the lamp, uniformly in cos theta; what it passes on arrives.
 
     BOUNCED photons carry its albedo, CAUSTIC ones glossy x directional albedo. A lobe of exponent 1 reflects more

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 from joulebox_render.kernels.rng import child_key, sample_2d, uniform
-from joulebox_render.kernels.transport import camera_rays, gather_rays
+from joulebox_render.kernels.transport import camera_rays
 from joulebox_render.records import Rays
 from joulebox_render.stages.context import Context
-from joulebox_render.stages.gather import NOT_BENT
+from joulebox_render.stages.gather import NOT_BENT, aim_gather
 from sampler_checks import ALPHA, INDEPENDENT, assert_fits, binned, cosine_cells, keys, points_at
 from scipy import stats
 
@@ -120,6 +120,5 @@ def test_camera_samples_without_jitter_are_the_centres_of_their_strata(samples: 
 def test_gather_rays_are_cosine_distributed(normal: tuple[float, float, float]) -> None:
     unit = np.array(normal) / np.linalg.norm(normal)
     count = 20_000
-    rays = Rays.empty(count)
-    gather_rays(points_at((0, 0, 0), unit, count), 0, count, 1, INDEPENDENT, NOT_BENT, rays)
+    rays = aim_gather(points_at((0, 0, 0), unit, count), 0, count, 1, INDEPENDENT, NOT_BENT)
     assert_fits(binned(10, *cosine_cells(rays.direction.astype(np.float64), np.tile(unit, (count, 1)))))

@@ -42,6 +42,7 @@ TRIED = {
     "radiance": ["3", "1 2 3"],
     "thickness": ["0.001", "0.03"],
     "opening": ["0", "20", "90"],
+    "exponent": ["-4", "4"],
     "exponent_left": ["1", "1000"],
     "exponent_middle": ["1", "1000"],
     "exponent_right": ["1", "1000"],

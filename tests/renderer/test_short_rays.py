@@ -1,19 +1,23 @@
 """Gather rays that end nearer than the photon map can tell places apart: corners, and floors behind thin walls.
 
 A second gather takes the place of the look-up there. What is compared is gathered light alone: pictures with it less
-pictures without, whose eye and shadow rays have the same random numbers.
+pictures without, whose eye and shadow rays have the same random numbers. Where photons are merely few, they answer.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from joulebox_render.clock import StageClock
+from joulebox_render.integrator import illumination, make_maps
 from joulebox_render.kernels.gathering import take_unsure
+from joulebox_render.kernels.lookup import OUTSIDE
 from joulebox_render.records import Points
 from joulebox_render.stages import gather
 from scipy import stats
@@ -78,9 +82,7 @@ def test_a_corner_is_as_bright_as_paths_say(make_scene: Make, open_session: Open
     assert abs(ours.mean() / theirs.mean() - 1) < 0.04
 
 
-def test_a_thin_wall_leaks_less(
-    make_scene: Make, open_session: Open, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_thin_wall_leaks_less(make_scene: Make, open_session: Open, monkeypatch: pytest.MonkeyPatch) -> None:
     """Behind an endless thin wall it is dark; photons of the lit floor reach under it into the map's discs.
 
     At the wall's foot the rays that would meet them are short.
@@ -125,3 +127,48 @@ def test_unsure_places_are_taken_at_any_distance() -> None:
     unsure = np.array([0, 1, 1, 0, 0, 1], np.uint8)
     assert take_unsure(points, unsure, 0.02, near) == 3
     assert near.owner[:3].tolist() == [1, 2, 5]
+
+
+FURNACE = (
+    '<shape type="cube"><boolean name="flip_normals" value="true"/><transform name="to_world"><scale value="0.5"/>'
+    '<translate x="{}"/></transform><bsdf type="diffuse"><rgb name="reflectance" value="0.8"/></bsdf>'
+    '<emitter type="area"><rgb name="radiance" value="{}"/></emitter></shape>'
+)
+
+
+def test_a_dim_room_is_known_from_its_photons(make_scene: Make, open_session: Open) -> None:
+    """Beside a room twenty times as bright, which gets nearly all photons, a furnace of radiance e / (1 - 0.8).
+
+    A disc of 5 cm holds a few of its photons, and cells around its records, as wide as the bright room asks for, cover
+    a third of it. Photons answer at nearly all other places, without bias: of ten maps the mean irradiance is pi times
+    the radiance, and that outside cells over that inside, in which the maps' own noise cancels, is 1; 4.5 of their
+    standard errors, which are held under 4 and 3 %. Photons that are records would be missing where none is near: with
+    them the ratio came out 0.80. Edges, where photons lie behind the next wall, are left out.
+    """
+    scene = make_scene(FURNACE.format(0, 20) + FURNACE.format(3, 1))
+    random = np.random.default_rng(5)
+    points = Points.empty(3000)
+    points.position[:] = random.uniform(-0.35, 0.35, (3000, 3))
+    face, side = random.integers(3, size=3000), random.choice([-1.0, 1.0], 3000)
+    points.normal[:] = points.geometric[:] = -side[:, None] * np.eye(3)[face]
+    points.position[np.arange(3000), face] = (0.5 - 1e-4) * side
+    points.position[:, 0] += 3
+    points.distance[:] = 1
+    points.key[:] = random.integers(2**63, size=3000)
+    points.sample[:] = 0
+    known, irradiance, ratio = [], [], []
+    for seed in range(10):
+        how = {"global_photons": 40_000, "gather_distance_m": 0.05, "gather_count": 1000, "photon_spacing": 4}
+        session = open_session(scene, seed=seed, indirect="final_gather", **how)
+        light = illumination(session.context, make_maps(session.context, StageClock()))
+        assert light.records
+        _, far = replace(light, records=light.records._replace(others=None)).look_up(points)
+        found, unsure = light.look_up(points)
+        known.append((unsure == 0).mean())
+        irradiance.append(found[unsure == 0].mean())
+        ratio.append(found[(far == OUTSIDE) & (unsure == 0)].mean() / found[far == 0].mean())
+    assert min(known) > 0.95
+    for values, expected, most in ((irradiance, 5 * math.pi, 0.04), (ratio, 1, 0.03)):
+        mean, error = mean_and_error(np.array(values) / expected)
+        assert error < most
+        assert abs(mean - 1) < 4.5 * error, (mean, error)

@@ -5,17 +5,17 @@ import re
 from typing import Any
 
 import pytest
-from joulebox_server.analysis.documents import Recommendation, Tradeoff
+from joulebox_server.analysis.documents import Point, Recommendation, Tradeoff
 from joulebox_server.routes.recommendation import ConfirmRequest
 from joulebox_server.routes.sweeps import ActionRequest
-from joulebox_server.schemas import answers, device, measure, sweep
+from joulebox_server.schemas import answers, device, measure, sweep, views
 from joulebox_server.schemas.examples import EXAMPLES
 from pydantic import BaseModel
 from server_testing import Server
 
-MODULES = (answers, device, measure, sweep)
+MODULES = (answers, device, measure, sweep, views)
 METHODS = ("get", "put", "post", "patch", "delete", "head")
-SHOWN_ELSEWHERE = {"Tradeoff": Tradeoff, "Recommendation": Recommendation}
+SHOWN_ELSEWHERE = {"Tradeoff": Tradeoff, "Point": Point, "Recommendation": Recommendation}
 
 
 def model_of(name: str) -> type[BaseModel]:

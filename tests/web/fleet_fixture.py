@@ -24,6 +24,7 @@ import uvicorn
 from joulebox_server.app import create_app
 from joulebox_server.settings import ServerSettings
 from joulebox_server.store import tokens
+from stored import restore
 
 SIDE = 64
 SCHEMA: dict[str, Any] = {
@@ -56,8 +57,8 @@ def sweep_definition(**changes: Any) -> dict[str, Any]:
     } | changes
 
 
-def exr_picture(settings: dict[str, Any], folder: Path) -> bytes:
-    """EXR bytes of a red-green box with a lamp, blotched by as much noise as its settings leave."""
+def exr_picture(settings: dict[str, Any], folder: Path, blemish: float = 0.0) -> tuple[bytes, str]:
+    """EXR bytes of a red-green box with a lamp, blotched by as much noise as its settings leave; hash of its pixels."""
     width, height = settings["width"], settings["height"]
     y, x = np.mgrid[0:height, 0:width].astype(np.float32)
     y, x = y / height, x / width
@@ -71,19 +72,26 @@ def exr_picture(settings: dict[str, Any], folder: Path) -> bytes:
     blotches = random.normal(0, 1, (height // 4, width // 4, 1)).repeat(4, 0).repeat(4, 1)
     strength = 4.0 / np.sqrt(settings["global_photons"]) + 0.2 / settings["gather_count"]
     image = np.abs(image * (1 + strength * blotches)).astype(np.float32)
+    image[:8, :8] *= 1 + blemish
     path = folder / f"picture-{threading.get_ident()}.exr"
     output = OpenImageIO.ImageOutput.create(str(path))
     assert output.open(str(path), OpenImageIO.ImageSpec(width, height, 3, "float")), output.geterror()
     assert output.write_image(np.ascontiguousarray(image)), output.geterror()
     output.close()
-    return path.read_bytes()
+    return path.read_bytes(), hashlib.sha256(image.tobytes()).hexdigest()
 
 
 def _interval(value: float, share: float = 0.03) -> dict[str, float]:
     return {"value": value, "low": value * (1 - share), "high": value * (1 + share)}
 
 
-def measure_document(lease: dict[str, Any], image: bytes, quality: str, power_w: float) -> dict[str, Any]:
+BATTERY = {"battery_charge_share": 0.71, "battery_full_j": 172_800.0, "mains_online": False}
+"""What a device with a meter tells of its battery: 48 Wh."""
+
+
+def measure_document(
+    lease: dict[str, Any], image: bytes, pixel_sha256: str, quality: str, power_w: float, version: str = "1"
+) -> dict[str, Any]:
     """A result for a lease: a cost for every photon and every gathered one, `power_w` throughout."""
     settings = DEFAULTS | lease["settings"]
     stages_s = {
@@ -98,7 +106,7 @@ def measure_document(lease: dict[str, Any], image: bytes, quality: str, power_w:
         "scene": lease["scene"]["name"],
         "scene_sha256": lease["scene"]["bundle_sha256"],
         "settings": settings,
-        "renderer": {"name": "formula", "version": "1", "intersector": "bvh", "isa": "none", "threads": 1},
+        "renderer": {"name": "formula", "version": version, "intersector": "bvh", "isa": "none", "threads": 1},
         "plan": {"run": list(stages_s), "left_out": {"caustics": "no specular surface"}},
         "photons": {"global_stored": settings["global_photons"]},
         "method": "none" if quality == "none" else "replay",
@@ -127,23 +135,28 @@ def measure_document(lease: dict[str, Any], image: bytes, quality: str, power_w:
         },
         "window_data": [],
         "power_samples": None,
-        "conditions": {"before": {}, "after": {}},
+        "conditions": {"before": {}, "after": {} if quality == "none" else BATTERY},
         "void": None,
         "noise": None,
-        "pixel_sha256": hashlib.sha256(b"pixels" + image).hexdigest(),
+        "pixel_sha256": pixel_sha256,
         "image_blob": hashlib.sha256(image).hexdigest(),
     }
 
 
 @dataclass
 class FormulaDevice:
-    """An enrolled device that answers every lease by formula; `quality` is what its energies rest on."""
+    """An enrolled device that answers every lease by formula; `quality` is what its energies rest on.
+
+    version, blemish    of its renderer; by how much its pictures are brighter than they should be in a corner
+    """
 
     client: httpx2.Client
     folder: Path
     token: str
     quality: str = "replayed"
     power_w: float = 12.0
+    version: str = "1"
+    blemish: float = 0.0
 
     @classmethod
     def enroll(
@@ -169,7 +182,7 @@ class FormulaDevice:
                     "reason": None if available else "no trace was given",
                 }
             ],
-            "renderer": {"name": "formula", "version": "1", "settings_schema": SCHEMA},
+            "renderer": {"name": "formula", "version": device.version, "settings_schema": SCHEMA},
         }
         path = f"/v1/devices/{enrolled['device_id']}/capabilities"
         _good(client.put(path, headers=device.headers, json=capabilities))
@@ -185,11 +198,11 @@ class FormulaDevice:
             lease = self._lease()
             if lease is None:
                 return count
-            image = exr_picture(DEFAULTS | lease["settings"], self.folder)
+            image, pixels = exr_picture(DEFAULTS | lease["settings"], self.folder, self.blemish)
             sha256 = hashlib.sha256(image).hexdigest()
             binary = self.headers | {"Content-Type": "application/octet-stream"}
             _good(self.client.put(f"/v1/blobs/{sha256}", headers=binary, content=image))
-            document = measure_document(lease, image, self.quality, self.power_w)
+            document = measure_document(lease, image, pixels, self.quality, self.power_w, self.version)
             path = f"/v1/attempts/{lease['attempt_id']}/result"
             _good(self.client.put(path, headers=self.headers, json=document))
         return most
@@ -202,7 +215,8 @@ class FormulaDevice:
         _good(self.client.post(f"/v1/attempts/{lease['attempt_id']}/release", headers=self.headers, json=body))
 
     def _lease(self) -> dict[str, Any] | None:
-        body = {"boot_id": "boot-1", "conditions": {}, "max_jobs": 1, "wait_s": 0}
+        conditions = {} if self.quality == "none" else BATTERY
+        body = {"boot_id": "boot-1", "conditions": conditions, "max_jobs": 1, "wait_s": 0}
         answer = _good(self.client.post("/v1/leases", headers=self.headers, json=body))
         return answer.json()["leases"][0] if answer.status_code == 200 else None
 
@@ -221,6 +235,20 @@ class Fleet:
     folder: Path
     operator: dict[str, str]
     viewer_token: str
+
+    @property
+    def operator_token(self) -> str:
+        return self.operator["Authorization"].removeprefix("Bearer ")
+
+    def sweep_id(self, name: str) -> str:
+        return str(self.get(f"/v1/sweeps/{name}")["id"])
+
+    def points(self, sweep: str) -> list[dict[str, Any]]:
+        found: list[dict[str, Any]] = self.get(f"/v1/sweeps/{sweep}/tradeoff")["points"]
+        return found
+
+    def get(self, path: str) -> Any:
+        return _good(self.client.get(path, headers=self.operator)).json()
 
     def add_scene(self, name: str = "box") -> None:
         out = io.BytesIO()
@@ -248,9 +276,11 @@ class Fleet:
 
 
 @contextmanager
-def running_fleet(folder: Path, **settings: Any) -> Iterator[Fleet]:
-    """The real app on a free loopback port, in a thread of this process, with an empty store."""
+def running_fleet(folder: Path, *, stored: bool = False, **settings: Any) -> Iterator[Fleet]:
+    """The real app on a free loopback port, in a thread of this process, with an empty store or the stored one."""
     given = {"release_pause_s": 0, "max_attempts": 1, **settings}
+    if stored:
+        restore(folder, folder / "data")
     with ThreadPoolExecutor(1) as executor:
         app = create_app(ServerSettings(data_dir=folder / "data", **given), executor)
         config = uvicorn.Config(app, port=0, log_level="warning", timeout_graceful_shutdown=1)
@@ -275,7 +305,7 @@ def running_fleet(folder: Path, **settings: Any) -> Iterator[Fleet]:
 
 
 def fill(fleet: Fleet) -> dict[str, str]:
-    """Sweeps as a lab has them: done with replayed joules, done with time only, failed, running; name -> id."""
+    """Sweeps that were not recorded: replayed with a battery, time only, half done, too few to know; name -> id."""
     for scene in ("box", "hall"):
         fleet.add_scene(scene)
     laptop = fleet.add_device("shelf-laptop")
@@ -286,13 +316,14 @@ def fill(fleet: Fleet) -> dict[str, str]:
     made["time_only"] = fleet.add_sweep(name="handheld-times", devices=["handheld-without-meter"])
     handheld.work()
     fleet.wait(made["time_only"], "done")
-    made["failed"] = fleet.add_sweep(
-        name="too-few-gathered", devices=["shelf-laptop"], axes={"gather_count": [25, 50, 100]}
-    )
-    laptop.work(5)
-    laptop.refuse("the renderer refused gather_count = 100: this build gathers at most 64")
+    some = [{"global_photons": p, "gather_count": g} for p, g in SPARSE]
+    made["sparse"] = fleet.add_sweep(name="sparse", devices=["shelf-laptop"], axes={}, rule="list", configurations=some)
     laptop.work()
-    fleet.wait(made["failed"], "failed")
+    fleet.wait(made["sparse"], "done")
     made["running"] = fleet.add_sweep(name="overnight", devices=["shelf-laptop"])
     laptop.work(8)
     return made
+
+
+SPARSE = [(p, g) for p in (20_000, 60_000, 200_000) for g in (25, 50, 100, 200) if (p, g) != (200_000, 200)]
+"""All combinations but the best: it can be predicted."""

@@ -9,7 +9,7 @@ from fastapi import FastAPI
 from joulebox_server import pages
 from starlette.testclient import TestClient
 
-LINES_AT_MOST = 1200
+LINES_AT_MOST = 2000
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,9 @@ import sys
 import typer
 
 from joulebox_agent import __version__
+from joulebox_agent.cli.calibrate import calibrate
 from joulebox_agent.cli.doctor import doctor
-from joulebox_agent.cli.fleet import enroll, run, status
+from joulebox_agent.cli.fleet import enroll, install_service, run, status
 from joulebox_agent.cli.measure import measure
 from joulebox_agent.errors import AgentError
 
@@ -19,7 +20,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (doctor, measure, enroll, run, status):
+for command in (doctor, measure, calibrate, enroll, run, status, install_service):
     app.command()(command)
 
 

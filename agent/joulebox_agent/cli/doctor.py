@@ -9,7 +9,10 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Column, Table
 
+from joulebox_agent.cli.plan import StateFolder, state_folder
 from joulebox_agent.doctor import Diagnosis, diagnose
+from joulebox_agent.measuring.calibrating import Stored, stored
+from joulebox_agent.sampling.sampler import HIGHEST_CPU_SHARE
 from joulebox_agent.sources.choose import KNOWN
 
 SHOWN_CONDITIONS = {"mains_online": "mains", "battery_charge_share": "charge", "temperature_c": "hottest (C)",
@@ -24,6 +27,7 @@ def doctor(
         float, typer.Option(min=0, max=3600, help="Watch values for S seconds to learn refresh and rate.")
     ] = 0.0,
     source: Annotated[str, typer.Option(help=f"Energy source to check: {', '.join(KNOWN)}.")] = "auto",
+    state_dir: StateFolder = None,
 ) -> None:
     """Say what can be measured here, and what is missing for the rest."""
     console = Console(stderr=True)
@@ -33,13 +37,16 @@ def doctor(
             diagnosis = diagnose(sysfs_root, source, watch, lambda done_s: bar.update(task, completed=done_s))
     else:
         diagnosis = diagnose(sysfs_root, source, watch)
+    kept = stored(state_folder(state_dir), diagnosis.conditions)
     if as_json:
-        print(json.dumps(diagnosis.model_dump(mode="json"), indent=1))
+        line = None if kept.calibration is None else kept.calibration.to_json()
+        document = diagnosis.model_dump(mode="json") | {"calibration": line, "calibration_unused": kept.unused}
+        print(json.dumps(document, indent=1))
     else:
-        _print_words(diagnosis)
+        _print_words(diagnosis, kept)
 
 
-def _print_words(diagnosis: Diagnosis) -> None:
+def _print_words(diagnosis: Diagnosis, kept: Stored) -> None:
     console = Console(highlight=False)
     console.print(_sources(diagnosis))
     if any(report.available and report.refresh_s is None for report in diagnosis.sources):
@@ -54,6 +61,8 @@ def _print_words(diagnosis: Diagnosis) -> None:
             console.print(f"{title}: {_words(name, value)}", markup=False)
     if diagnosis.other_cpu_share is not None:
         console.print(f"other processes: {diagnosis.other_cpu_share:.2f} cores busy")
+    if diagnosis.sampler_cpu_share is not None:
+        console.print(f"sampling: {diagnosis.sampler_cpu_share:.3%} of a core ({HIGHEST_CPU_SHARE:.1%} allowed)")
     console.print()
     if diagnosis.discharge_w is None:
         console.print(f"Discharge unknown: {diagnosis.reason}.", markup=False, soft_wrap=True)
@@ -61,8 +70,19 @@ def _print_words(diagnosis: Diagnosis) -> None:
         console.print(
             f"Discharging at {diagnosis.discharge_w:.3f} W ({diagnosis.reason}).", markup=False, soft_wrap=True
         )
+    _print_calibration(console, kept)
     chosen = diagnosis.chosen or "nothing: time and CPU seconds only, no joules"
     console.print(f"A measurement here would use {chosen}.")
+
+
+def _print_calibration(console: Console, kept: Stored) -> None:
+    if kept.calibration is None:
+        hint = "joulebox-agent calibrate SCENE learns it where battery and RAPL can both be read"
+        console.print(f"RAPL against the battery: {kept.unused}; {hint}.", markup=False, soft_wrap=True)
+        return
+    made = f"{kept.calibration.words()}, made {kept.calibration.made_at:%Y-%m-%d %H:%M}"
+    use = "in use" if kept.unused is None else f"not used now: {kept.unused}"
+    console.print(f"RAPL against the battery: {made}; {use}.", markup=False, soft_wrap=True)
 
 
 def _sources(diagnosis: Diagnosis) -> Table:

@@ -1,10 +1,14 @@
-"""`joulebox-agent enroll`, `run` and `status`: the commands that know a server."""
+"""`joulebox-agent enroll`, `run`, `status` and `install-service`: the commands that know a server."""
 
+import contextlib
 import json
+import os
 import platform
+import shlex
+import shutil
 import signal
 import sys
-import threading
+from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
 from typing import Annotated
@@ -14,14 +18,20 @@ import stamina.instrumentation
 import typer
 
 from joulebox_agent.errors import UsageError
-from joulebox_agent.fleet.daemon import Daemon, RunOptions
+from joulebox_agent.fleet import service
+from joulebox_agent.fleet.daemon import Daemon
+from joulebox_agent.fleet.journal import Journal, Told, as_json_line, as_text, doing_now
+from joulebox_agent.fleet.options import RunOptions
 from joulebox_agent.fleet.server import Server
 from joulebox_agent.fleet.spool import Spool
-from joulebox_agent.fleet.state import Enrolment, StateDir, boot_id
+from joulebox_agent.fleet.state import Enrolment, StateDir, boot_id, machine_lock, machine_lock_file
+from joulebox_agent.fleet.stopping import Stop
+from joulebox_agent.fleet.work import ShownListener
 from joulebox_agent.loop import renderer_command
 from joulebox_agent.measuring.charging import Band
 from joulebox_agent.measuring.progress import shown_progress
 from joulebox_agent.sources.choose import choose
+from joulebox_agent.sources.sysfs import SYSTEM_ROOT
 
 StateOption = Annotated[Path | None, typer.Option(help="Folder for token, spool and scenes.")]
 
@@ -87,17 +97,17 @@ def run(
         str | None, typer.Option(metavar="COMMAND", help="Called with on or off to charge (a smart plug).")
     ] = None,
     sysfs_root: Annotated[Path, typer.Option(help="Folder that plays /sys.")] = Path("/sys"),
+    stop_grace_s: Annotated[
+        float, typer.Option(min=0, help="How long a stop waits for the window that makes a result whole.")
+    ] = 10.0,
     state_dir: StateOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Log as JSON lines.")] = False,
 ) -> None:
-    """Measure what the server asks for until told to stop (SIGTERM or Ctrl-C)."""
+    """Measure what the server asks for until told to stop (SIGTERM or Ctrl-C; twice: at once)."""
     state = StateDir.at(state_dir)
-    enrolment = state.enrolment()
-    if enrolment is None:
-        raise UsageError(f"This device is not enrolled ({state.root}); run joulebox-agent enroll first.")
+    enrolment = _own(state)
     command = renderer_command(renderer)
-    if source not in ("auto", "battery_gauge", "battery_counter"):  # a battery may come off its cable later
-        choose(source, sysfs_root)
+    _check(source, sysfs_root)
     options = RunOptions(
         source=source,
         sysfs_root=sysfs_root,
@@ -109,29 +119,77 @@ def run(
         charge_hook=charge_hook,
     )
     stamina.instrumentation.set_on_retry_hooks([])  # the daemon has its own words for trouble
-    server, log = Server(enrolment.server, enrolment.token), _json_log if as_json else _log
-    with state.lock():
-        Daemon(state, enrolment.device_id, server, command, options, _stop_on_signals(), log, shown_progress).run()
+    journal = Journal(as_json_line if as_json else as_text, state.doing)
+    listener: Callable[[], ShownListener] = (lambda: Told(journal)) if as_json else shown_progress
+    server, stop = Server(enrolment.server, enrolment.token), _stop_on_signals(stop_grace_s)
+    measures = not source.startswith("replay") and sysfs_root == SYSTEM_ROOT
+    with state.lock(), machine_lock(machine_lock_file()) if measures else contextlib.nullcontext():
+        Daemon(state, enrolment.device_id, server, command, options, stop, journal, listener).run()
 
 
-def _stop_on_signals() -> threading.Event:
-    """An event that SIGTERM and Ctrl-C set."""
-    stop = threading.Event()
+def _own(state: StateDir) -> Enrolment:
+    enrolment = state.enrolment()
+    if enrolment is None:
+        raise UsageError(f"This device is not enrolled ({state.root}); run joulebox-agent enroll first.")
+    return enrolment
+
+
+def _check(source: str, sysfs_root: Path) -> None:
+    if source not in ("auto", "battery_gauge", "battery_counter"):  # a battery may come off its cable later
+        choose(source, sysfs_root)
+
+
+def _stop_on_signals(grace_s: float) -> Stop:
+    """What SIGTERM and Ctrl-C set."""
+    stop = Stop(grace_s)
 
     def on_signal(number: int, frame: FrameType | None) -> None:
-        stop.set()
+        stop.ask()
 
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, on_signal)
     return stop
 
 
-def _log(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
+def install_service(
+    source: Annotated[str, typer.Option(help="Energy source, as for measure.")] = "auto",
+    renderer: Annotated[str | None, typer.Option(help="Command that speaks the loop protocol.")] = None,
+    charge_band: Annotated[
+        str, typer.Option(metavar="HIGH-LOW", help="Measure between these charges (percent).")
+    ] = "90-30",
+    charge_hook: Annotated[
+        str | None, typer.Option(metavar="COMMAND", help="Called with on or off to charge (a smart plug).")
+    ] = None,
+    state_dir: StateOption = None,
+    show: Annotated[bool, typer.Option("--print", help="Print the unit and install nothing.")] = False,
+    remove: Annotated[bool, typer.Option("--remove", help="Stop the agent and remove its unit.")] = False,
+) -> None:
+    """Start the agent now and at every login of this user, as a systemd user unit."""
+    if remove:
+        print(f"Removed {service.remove()}.")
+        return
+    state = StateDir.at(state_dir)
+    _own(state)
+    _check(source, SYSTEM_ROOT)
+    Band.parse(charge_band)
+    program = shlex.join(_found(renderer))
+    command = [sys.executable, "-m", "joulebox_agent", "run", "--source", source, "--renderer", program,
+               "--charge-band", charge_band, "--stop-grace-s", str(service.GRACE_S),
+               "--state-dir", str(state.root.resolve())]  # fmt: skip
+    if charge_hook is not None:
+        command += ["--charge-hook", charge_hook]
+    text = service.unit_text(command, {name: os.environ[name] for name in service.CARRIED if name in os.environ})
+    if show:
+        print(text, end="")
+        return
+    print(f"Installed {service.install(text)} and started it; journalctl --user -u {service.UNIT} shows what it says.")
+    print("It ends with this user's last session unless loginctl enable-linger was called once.")
 
 
-def _json_log(text: str) -> None:
-    print(json.dumps({"event": "log", "message": text}), flush=True)
+def _found(renderer: str | None) -> list[str]:
+    """The renderer with its full path: a service has another PATH."""
+    program, *rest = renderer_command(renderer)
+    return [os.path.abspath(shutil.which(program) or program), *rest]
 
 
 def status(
@@ -149,6 +207,9 @@ def status(
         "device_id": None,
         "name": None,
         "running": False,
+        "doing": None,
+        "since": None,
+        "leased": 0,
         "spooled": 0,
         "set_aside": 0,
     }
@@ -157,8 +218,11 @@ def status(
         enrolment, spool = state.enrolment(), Spool(state.spool)
         if enrolment is not None:
             answer |= {"enrolled": True, **enrolment.model_dump(exclude={"token"})}
-        answer |= {"running": state.locked(), "spooled": len(spool.waiting())}
+        answer |= {"running": state.locked(), "leased": len(state.leased()), "spooled": len(spool.waiting())}
         answer["set_aside"] = len(list(spool.bad.glob("*.json")))
+        doing = doing_now(state.doing)
+        if doing is not None and answer["running"]:
+            answer |= {"doing": doing.get("message"), "since": doing.get("since")}
     choice = choose(source, sysfs_root)
     answer |= {"energy_method": choice.source.method, "energy_reason": choice.report.reason}
     if as_json:

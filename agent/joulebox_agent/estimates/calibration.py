@@ -115,6 +115,14 @@ class Calibration(BaseModel):
             return f"the brightness was {_told(self.brightness, ' of full')} and is {_told(brightness, ' of full')}"
         return None
 
+    def words(self) -> str:
+        """The line with its standard errors, in one phrase."""
+        a_w, b = (self.covariance[i][i] ** 0.5 for i in (0, 1))
+        return (
+            f"P_battery = {self.a_w:.3g} ± {a_w:.1g} W + {self.b:.3g} ± {b:.1g} P_rapl, "
+            f"from {self.pair_count} stretches of {self.lowest_rapl_w:.3g} to {self.highest_rapl_w:.3g} W"
+        )
+
     def to_json(self) -> dict[str, Any]:
         return self.model_dump(mode="json")
 

@@ -6,16 +6,20 @@ both, so every size and time of a grid is weighed by its likelihood and the resu
 Source: Harville 1974 (likelihood with the means integrated out); Hoeting et al. 1999, "Bayesian model averaging".
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from joulebox_agent.estimates.estimate import mixture_half_width
+
 Floats = NDArray[np.float64]
 TIMES_S = (30.0, 60.0, 120.0, 240.0, 480.0)  # correlation times tried
-FEWEST_PIECES = 8  # fewer tell nothing, and even odds of nothing are no evidence
-NOTICED = 13.0  # odds of drift times pieces, from which on an interval is widened
 SIZES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # variances of the drift tried, in units of one row's white variance
+PIECE_SIZES = (0.03, *SIZES[:-1])  # the same for pieces of windows, whose white variance is larger
+FEWEST_PIECES = 8  # fewer tell nothing, and even odds of nothing are no evidence
+BELIEVED = 3.0  # odds of drift against none, even beforehand, that count as evidence (Kass and Raftery 1995)
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,30 @@ class LinearFit:
     ratios: Floats
 
 
+@dataclass(frozen=True)
+class _Grid:
+    """Models of the errors of n rows, the one without drift first.
+
+    covariances, inverses         (m, n, n) in units of the white variance
+    log_determinants, log_priors  (m,) of the inverses, of the prior probabilities
+    """
+
+    covariances: Floats
+    inverses: Floats
+    log_determinants: Floats
+    log_priors: Floats
+
+
+@dataclass(frozen=True)
+class _Posterior:
+    """By model: weights (m,), coefficients (m, p), their unscaled covariance (m, p, p), white variance (m,)."""
+
+    weights: Floats
+    means: Floats
+    unscaled: Floats
+    scales: Floats
+
+
 def fit(design: Floats, values: Floats, starts_s: Floats, lengths_s: Floats, without_drift: float) -> LinearFit:
     """Generalised least squares of `values` (n,) on `design` (n, p), averaged over the grid of drifts.
 
@@ -41,69 +69,73 @@ def fit(design: Floats, values: Floats, starts_s: Floats, lengths_s: Floats, wit
     without_drift        prior probability that there is none
     Raises numpy.linalg.LinAlgError when the columns of the design are dependent.
     """
+    grid = _grid(starts_s, lengths_s, TIMES_S, SIZES, without_drift)
+    known = _posterior(grid, design, values)
+    mean = known.weights @ known.means
+    spread = known.means - mean
+    covariance = np.tensordot(known.weights * known.scales, known.unscaled, 1)
+    covariance += np.einsum("m,mi,mj->ij", known.weights, spread, spread)
+    variances = known.weights * known.scales * np.trace(grid.covariances, axis1=1, axis2=2)
     freedom = design.shape[0] - design.shape[1]
-    covariances, priors = _models(starts_s, lengths_s, without_drift)
-    inverses = np.linalg.inv(covariances)
-    weighted = design.T @ inverses  # (m, p, n)
-    unscaled = np.linalg.inv(weighted @ design)
-    means = unscaled @ (weighted @ values)[:, :, None]
-    rests = values - (design @ means)[:, :, 0]
+    return LinearFit(mean, covariance, float(variances.sum()) / len(values), freedom, known.weights, grid.covariances)
+
+
+def half_share(views: Sequence[Floats], starts_s: Floats, lengths_s: Floats, window_s: float) -> float:
+    """Half-width of the 95 % interval of a mean that drift asks for, as a share of the mean; 0 where none shows.
+
+    views                looks (n,) at the same pieces of windows: joules an image and watts, of gauge and counter.
+                         Drift of the machine shows in each, and whichever is quietest shows it first
+    starts_s, lengths_s  of the pieces, all windows cut into the same number of equal parts
+    window_s             length of a window: drift that is forgotten within half of it is in the windows' own spread
+
+    A view shows drift when the odds for it reach BELIEVED. Its half-width is then the 95 % quantile of the mean's
+    error, a Student's t for every size and time of the grid, weighed by their posterior; the widest view's is taken.
+    Without drift one pilot of five windows in ten is widened, mostly one whose spread is wide by itself: it adds
+    0.3 % to the coverage. With 2 % of drift over two minutes nine in ten are.
+    """
+    count = len(starts_s)
+    times_s = [time_s for time_s in TIMES_S if time_s >= window_s / 2]
+    views = [view / np.mean(view) for view in views if np.ptp(view) > 0 and np.mean(view) > 0]
+    if count < FEWEST_PIECES or not times_s or not views:
+        return 0.0
+    grid = _grid(starts_s, lengths_s, times_s, PIECE_SIZES, 0.5)
+    of_mean = grid.covariances.mean(axis=(1, 2))[1:]
+    widest = 0.0
+    for view in views:
+        known = _posterior(grid, np.ones((count, 1)), view)
+        weights = known.weights[1:]
+        if weights.sum() < BELIEVED * known.weights[0]:
+            continue
+        errors = np.sqrt(known.scales[1:] * of_mean)
+        widest = max(widest, mixture_half_width(weights / weights.sum(), errors, count - 1))
+    return widest
+
+
+def _posterior(grid: _Grid, design: Floats, values: Floats) -> _Posterior:
+    """Weighs the models by their likelihood with the coefficients and the white variance integrated out."""
+    freedom = design.shape[0] - design.shape[1]
+    weighted = design.T @ grid.inverses  # (m, p, n)
+    unscaled = np.asarray(np.linalg.inv(weighted @ design), dtype=np.float64)
+    means = (unscaled @ (weighted @ values)[:, :, None])[:, :, 0]
+    rests = values - means @ design.T
     floor = 1e-12 * float(values @ values) + 1e-300  # values that fit exactly have errors all the same
-    squares = np.maximum(np.einsum("mi,mij,mj->m", rests, inverses, rests), floor)
-    log_weights = np.log(priors) - 0.5 * freedom * np.log(squares)
-    log_weights += 0.5 * (np.linalg.slogdet(inverses)[1] + np.linalg.slogdet(unscaled)[1])
-    weights = np.exp(log_weights - log_weights.max())
-    weights /= weights.sum()
-    scales = weights * squares / freedom
-    mean = weights @ means[:, :, 0]
-    spread = means[:, :, 0] - mean
-    covariance = np.tensordot(scales, unscaled, 1) + np.einsum("m,mi,mj->ij", weights, spread, spread)
-    row_variance = float(scales @ np.trace(covariances, axis1=1, axis2=2)) / len(values)
-    return LinearFit(mean, covariance, row_variance, freedom, weights, covariances)
+    squares = np.maximum(np.einsum("mi,mij,mj->m", rests, grid.inverses, rests, optimize=True), floor)
+    log_weights = grid.log_priors - 0.5 * freedom * np.log(squares)
+    log_weights += 0.5 * (grid.log_determinants + np.linalg.slogdet(unscaled)[1])
+    weights: Floats = np.exp(log_weights - log_weights.max())
+    return _Posterior(weights / weights.sum(), means, unscaled, squares / freedom)
 
 
-def widening(values: Floats, starts_s: Floats, lengths_s: Floats, window_count: int, pilot_count: int) -> float:
-    """Factor >= 1 by which drift widens an interval of the mean that rests on the spread between pilot windows.
-
-    values, starts_s, lengths_s  (w * k,) pieces of windows, k equal parts of each in order of time
-
-    Under drift neighbouring windows err alike: the spread between them understates the error of their mean. The
-    square of the factor is the ratio of the two, averaged over the grid, where the odds of drift against none (even
-    beforehand) are above a limit. It is low, and falls with the pieces as the odds do that come from nothing: without
-    drift it is mostly a wide spread that is widened further, which adds 0.5 % to the coverage, while with 3 % of
-    drift over two minutes 91 % of pilots of five windows show it.
-    1 without drift, and from fewer than FEWEST_PIECES pieces or values that do not differ.
-    """
-    count = len(values)
-    if count < FEWEST_PIECES or window_count < 2 or not np.ptp(values) > 0:
-        return 1.0
-    known = fit(np.ones((count, 1)), values, starts_s, lengths_s, 0.5)
-    if known.weights[1:].sum() < min(0.8, max(0.4, NOTICED / count)) * known.weights[0]:
-        return 1.0
-    gather = np.kron(np.eye(window_count), np.full((1, count // window_count), window_count / count))
-    windows = gather @ known.ratios @ gather.T  # (m, w, w)
-    of_mean = windows.mean(axis=(1, 2))
-    pilot = windows[:, :pilot_count, :pilot_count]
-    spread = np.trace(pilot, axis1=1, axis2=2) / pilot_count - pilot.mean(axis=(1, 2))
-    spread *= pilot_count / (pilot_count - 1)
-    squares = (of_mean * window_count / spread)[1:]
-    return max(1.0, float(np.sqrt(np.average(squares, weights=known.weights[1:]))))
-
-
-def _models(starts_s: Floats, lengths_s: Floats, without_drift: float) -> tuple[Floats, Floats]:
-    """Covariances (m, n, n) of the errors in units of the white variance, and their prior probabilities (m,).
-
-    No drift first, then every size and time; the rest of the prior is shared among them.
-    """
+def _grid(
+    starts_s: Floats, lengths_s: Floats, times_s: Sequence[float], sizes: Sequence[float], without_drift: float
+) -> _Grid:
+    """No drift, and every size at every time; they share what the prior leaves them."""
     white = np.diag(np.mean(lengths_s) / lengths_s)
-    drifts = [
-        white + size * shape
-        for shape in (drift_covariance(starts_s, lengths_s, time_s) for time_s in TIMES_S)
-        for size in SIZES
-    ]
-    priors = np.full(len(drifts) + 1, (1 - without_drift) / len(drifts))
+    shapes = [drift_covariance(starts_s, lengths_s, time_s) for time_s in times_s]
+    covariances = np.array([white, *(white + size * shape for shape in shapes for size in sizes)])
+    priors = np.full(len(covariances), (1 - without_drift) / (len(covariances) - 1))
     priors[0] = without_drift
-    return np.array([white, *drifts]), priors
+    return _Grid(covariances, np.linalg.inv(covariances), -np.linalg.slogdet(covariances)[1], np.log(priors))
 
 
 def drift_covariance(starts_s: Floats, lengths_s: Floats, time_s: float) -> Floats:

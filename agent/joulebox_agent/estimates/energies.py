@@ -19,8 +19,8 @@ FEWEST_STEPS = 5  # of a counter in a window, below which its difference says li
 DISAGREEMENT_NOTED = 0.05  # share by which a counter may differ from the gauge unmentioned
 REJECTED_BEYOND = 2.0  # times the gauge's energy, or its inverse
 IDLE_PIECES = 3
-PIECE_UPDATES, MOST_PIECES = 5, 4  # pieces of a window, in which drift within it shows
-MANY_WINDOWS, MOST_ROWS = 20, 240  # from which on they show drift uncut; pieces that are looked at
+PIECE_UPDATES, MOST_PIECES = 2, 8  # pieces of a window, in which drift within it shows
+MANY_WINDOWS, MOST_ROWS = 20, 80  # from which on they show drift uncut; pieces that are looked at
 NO_LAG = Lag(0.0, ())
 NODES_A_STAGE = 4  # of a fast source in one run of a stage, below which neighbouring stages blur
 
@@ -29,34 +29,30 @@ NODES_A_STAGE = 4  # of a fast source in one run of a stage, below which neighbo
 class WindowEnergies:
     """gross_j, counter_j: one value a window, None where unknown. notes: what a reader must know.
 
-    widening  factor that drift between the windows asks for, for two_stage_interval and windows_needed
-    lag_s     the gauge shows the mean of this many seconds, as fitted; 0 where nothing tells it
+    drift_share  least half-width of a mean over the windows that drift asks for, as a share of it
+    lag_s        the gauge shows the mean of this many seconds, as fitted; 0 where nothing tells it
     """
 
     gross_j: tuple[float | None, ...]
     counter_j: tuple[float | None, ...]
     notes: tuple[str, ...]
-    widening: float = 1.0
+    drift_share: float = 0.0
     lag_s: float = 0.0
 
 
 def window_energies(
-    series: PowerSeries,
-    source: EnergySource,
-    windows: list[Window],
-    resolution_j: float | None,
-    pilot_count: int | None = None,
+    series: PowerSeries, source: EnergySource, windows: list[Window], resolution_j: float | None
 ) -> WindowEnergies:
     """Whole-window energies; all None, with a note on the bound, where the source cannot resolve them.
 
     resolution_j  step of the counter [J], None when it has no noticeable one
-    pilot_count   windows whose spread the interval will rest on; None: all
     """
     nothing = (None,) * len(windows)
     if source.quality == "none" or not windows:
         return WindowEnergies(nothing, nothing, ())
-    lag = fit_lag(series, [(w.start_s, w.end_s) for w in windows]) if source.primary == "power" else NO_LAG
-    gross_j = tuple(_gross_j(series, source.primary, window, lag, row) for row, window in enumerate(windows))
+    stretches = [(w.start_s, w.end_s) for w in windows]
+    lag = fit_lag(series, stretches) if source.primary == "power" else NO_LAG
+    gross_j = _energies_j(series, source.primary, stretches, lag)
     counter_j = tuple(series.energy_j(w.start_s, w.end_s, "counter") for w in windows)
     notes: list[str] = []
     disagreement_notes, rejected = _disagreement(gross_j, counter_j, resolution_j or 0.0)
@@ -64,8 +60,8 @@ def window_energies(
     if counter_bound:
         counter_j = nothing
     if source.primary == "counter":
-        wider = 1.0 if counter_bound else drift_widening(series, "counter", windows, NO_LAG, pilot_count)
-        return WindowEnergies(counter_j, counter_j, (counter_bound,) if counter_bound else (), wider)
+        share = 0.0 if counter_bound else drift_share(series, windows, None)
+        return WindowEnergies(counter_j, counter_j, (counter_bound,) if counter_bound else (), share)
     gauge_bound = _slow_gauge(series, windows)
     if gauge_bound:
         return WindowEnergies(nothing, nothing, (gauge_bound,))
@@ -76,41 +72,61 @@ def window_energies(
         notes.append(f"the counter beside the gauge ran backwards or lost its thread in {backwards} windows")
     if rejected:
         counter_j = nothing
-    wider = drift_widening(series, "power", windows, lag, pilot_count)
-    return WindowEnergies(gross_j, counter_j, tuple(notes), wider, lag.lag_s)
+    return WindowEnergies(gross_j, counter_j, tuple(notes), drift_share(series, windows, lag), lag.lag_s)
 
 
-def _gross_j(series: PowerSeries, primary: Primary, window: Window, lag: Lag, row: int) -> float | None:
-    energy_j = series.energy_j(window.start_s, window.end_s, primary, lag.lag_s)
-    return energy_j + sum(lag.edges_j[row]) if energy_j is not None and primary == "power" else energy_j
+def stretch_energies_j(
+    series: PowerSeries, primary: Primary, stretches: Sequence[tuple[float, float]]
+) -> tuple[float | None, ...]:
+    """Energy [J] of stretches (start_s, end_s) that share no time, None where unknown; allows for a lag."""
+    return _energies_j(series, primary, stretches, fit_lag(series, stretches) if primary == "power" else NO_LAG)
 
 
-def drift_widening(
-    series: PowerSeries, primary: Primary, windows: Sequence[Window], lag: Lag, pilot_count: int | None
-) -> float:
-    """How much wider than their spread says the mean of the windows may be off; see drift.widening.
+def _energies_j(
+    series: PowerSeries, primary: Primary, stretches: Sequence[tuple[float, float]], lag: Lag
+) -> tuple[float | None, ...]:
+    plain_j = [series.energy_j(start_s, end_s, primary, lag.lag_s) for start_s, end_s in stretches]
+    if primary != "power":
+        return tuple(plain_j)
+    return tuple(j + sum(edges_j) if j is not None else None for j, edges_j in zip(plain_j, lag.edges_j, strict=True))
+
+
+def drift_share(series: PowerSeries, windows: Sequence[Window], lag: Lag | None) -> float:
+    """Half-width that drift asks for, as a share of the mean; see drift.half_share. lag: of a gauge.
 
     Every window is cut into the same number of pieces of whole images, each of PIECE_UPDATES updates or more, of
-    MOST_ROWS windows at the most; 1 where a window does not hold two such pieces and there are few windows.
+    MOST_ROWS windows at the most; 0 where a window does not hold two such pieces and there are few windows.
     """
     windows = windows[:MOST_ROWS]
     updates = min(series.update_count(w.start_s, w.end_s) for w in windows)
     count = min(MOST_PIECES, updates // PIECE_UPDATES, MOST_ROWS // len(windows), *(w.images for w in windows))
     if count < (2 if len(windows) < MANY_WINDOWS else 1):
-        return 1.0
-    starts_s, lengths_s, values_j = [], [], []
-    for row, window in enumerate(windows):
-        leaks_j = np.zeros(count)
-        leaks_j[[0, -1]] = lag.edges_j[row] if primary == "power" else (0.0, 0.0)
-        for leak_j, (start_s, end_s, images) in zip(leaks_j, window.pieces(count), strict=True):
-            energy_j = series.energy_j(start_s, end_s, primary, lag.lag_s)
-            if energy_j is None or end_s <= start_s:
-                return 1.0
-            starts_s.append(start_s)
-            lengths_s.append(end_s - start_s)
-            values_j.append((energy_j + leak_j) / images)
-    pilot = min(len(windows), max(2, pilot_count or len(windows)))
-    return drift.widening(np.array(values_j), np.array(starts_s), np.array(lengths_s), len(windows), pilot)
+        return 0.0
+    pieces = np.array([piece for window in windows for piece in window.pieces(count)])
+    starts_s, lengths_s, images = pieces[:, 0], pieces[:, 1] - pieces[:, 0], pieces[:, 2]
+    if lengths_s.min() <= 0:
+        return 0.0
+    looks = [_piece_energies_j(series, "counter", pieces, NO_LAG, count)]
+    if lag is not None:
+        looks.append(_piece_energies_j(series, "power", pieces, lag, count))
+    views = [look_j / part for look_j in looks if look_j is not None for part in (images, lengths_s)]
+    # the first piece begins where the power stepped, and what is known between two updates is blurred by that
+    return drift.half_share([view[1:] for view in views], starts_s[1:], lengths_s[1:], windows[0].wall_s)
+
+
+def _piece_energies_j(
+    series: PowerSeries, primary: Primary, pieces: drift.Floats, lag: Lag, count: int
+) -> drift.Floats | None:
+    """Energy of every piece, `count` of them a window; None where one is unknown."""
+    found = [series.energy_j(start_s, end_s, primary, lag.lag_s) for start_s, end_s, _ in pieces]
+    known = [energy_j for energy_j in found if energy_j is not None]
+    if len(known) < len(found):
+        return None
+    energies_j = np.array(known)
+    for row, (at_start_j, at_end_j) in enumerate(lag.edges_j[: len(known) // count]):
+        energies_j[row * count] += at_start_j
+        energies_j[row * count + count - 1] += at_end_j
+    return energies_j
 
 
 def _coarse_counter(
@@ -199,9 +215,8 @@ def idle_power(
             pieces_w.append(energy_j / length_s)
     if len(pieces_w) < 2:
         return None
-    count = len(pieces_w)
-    wider = drift.widening(np.array(pieces_w), np.array(starts_s), np.array(lengths_s), count, count)
-    return two_stage_interval(pieces_w, count, widening=wider)
+    share = drift.half_share([np.array(pieces_w)], np.array(starts_s), np.array(lengths_s), max(lengths_s))
+    return two_stage_interval(pieces_w, len(pieces_w), drift_half=share * float(np.mean(pieces_w)))
 
 
 def integrated_stage_energies(

@@ -8,8 +8,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
-from scipy.special import stdtrit
 
 CONFIDENCE = 0.95
 
@@ -30,18 +30,38 @@ class Interval(BaseModel):
 
 def t_quantile(degrees_of_freedom: float, confidence: float = CONFIDENCE) -> float:
     """Student's t such that |t| is exceeded with probability 1 - confidence."""
+    from scipy.special import stdtrit  # loads for half a second, which no other command should wait for
+
     return float(stdtrit(degrees_of_freedom, 0.5 + confidence / 2))
 
 
+def mixture_half_width(
+    weights: NDArray[np.float64], errors: NDArray[np.float64], degrees_of_freedom: float, confidence: float = CONFIDENCE
+) -> float:
+    """Half-width that holds an error which is Student's t times errors[k] with probability weights[k].
+
+    weights, errors  (m,) of sum 1; standard errors > 0
+    """
+    from scipy.special import stdtr
+
+    t = t_quantile(degrees_of_freedom, confidence)
+    low, high = t * float(errors.min()), t * float(errors.max())
+    for _ in range(40):  # halves the bracket each time, down to rounding
+        middle = (low + high) / 2
+        beyond = 2 * float(weights @ stdtr(degrees_of_freedom, -middle / errors))
+        low, high = (middle, high) if beyond > 1 - confidence else (low, middle)
+    return high
+
+
 def two_stage_interval(
-    values: Sequence[float], pilot_count: int, confidence: float = CONFIDENCE, widening: float = 1.0
+    values: Sequence[float], pilot_count: int, confidence: float = CONFIDENCE, drift_half: float = 0.0
 ) -> Interval:
     """Mean of all values with the bounds of Stein's two-stage rule.
 
     The spread and its degrees of freedom are the pilot's (the first `pilot_count` values): the number of
     further windows was chosen from that spread, and only so the interval keeps its rate. Student's t over
     all windows would cover 92.6 instead of 95 % in the middle of the range. Without further windows both
-    are the same. `widening` is the factor that drift between the windows asks for (drift.py).
+    are the same. `drift_half` is the least half-width, which drift between the windows asks for (drift.py).
     Raises ValueError for fewer than two values, which say nothing of their spread.
     """
     if len(values) < 2:
@@ -49,26 +69,26 @@ def two_stage_interval(
     mean = float(np.mean(values))
     pilot = values[: max(2, pilot_count)]
     spread = float(np.std(pilot, ddof=1))
-    half = widening * t_quantile(len(pilot) - 1, confidence) * spread / math.sqrt(len(values))
+    half = max(drift_half, t_quantile(len(pilot) - 1, confidence) * spread / math.sqrt(len(values)))
     return Interval(value=mean, low=mean - half, high=mean + half)
 
 
 def windows_needed(
-    pilot: Sequence[float], half_width: float, confidence: float = CONFIDENCE, widening: float = 1.0
+    pilot: Sequence[float], half_width: float, confidence: float = CONFIDENCE, drift_share: float = 0.0
 ) -> int:
     """Windows that Stein's rule asks for, at least the pilot's own.
 
-    half_width  wanted half-width as a share of the mean, > 0
-    widening    factor that drift between the windows asks for
+    half_width   wanted half-width as a share of the mean, > 0
+    drift_share  half-width that drift asks for with the pilot alone, as such a share; it falls as 1 / sqrt(windows)
     """
     wanted = half_width * abs(float(np.mean(pilot)))
     spread = float(np.std(pilot, ddof=1))
-    if spread == 0.0:
+    if spread == 0.0 and not drift_share:
         return len(pilot)
     if wanted == 0.0:
         return 1_000_000_000  # a mean of nothing is never known to a share of itself
-    needed = (widening * t_quantile(len(pilot) - 1, confidence) * spread / wanted) ** 2
-    return max(len(pilot), math.ceil(needed))
+    needed = (t_quantile(len(pilot) - 1, confidence) * spread / wanted) ** 2
+    return max(len(pilot), math.ceil(max(needed, len(pilot) * (drift_share / half_width) ** 2)))
 
 
 def net_of_idle(
@@ -77,17 +97,18 @@ def net_of_idle(
     idle_w: Interval,
     idle_pieces: int,
     pilot_count: int,
-    widening: float = 1.0,
+    drift_half: float = 0.0,
 ) -> Interval:
     """Energy above idle: gross - P_idle x T, window by window, with the variance of idle carried through.
 
     values_j, times_s  gross energy and wall time per image of every window; longer images cost more and idle longer,
                        so the spread of the difference is not that of the gross energy
     idle_pieces        stretches whose spread idle_w rests on
+    drift_half         least half-width of the gross energy [J], for drift
     Degrees of freedom of the sum after Welch 1947; adding the half-widths in quadrature would hold 98.5 %.
     """
     above_j = [value_j - idle_w.value * time_s for value_j, time_s in zip(values_j, times_s, strict=True)]
-    over_windows = two_stage_interval(above_j, pilot_count, widening=widening)
+    over_windows = two_stage_interval(above_j, pilot_count, drift_half=drift_half)
     parts = [
         (over_windows.half_width, min(len(above_j), max(2, pilot_count)) - 1),
         (idle_w.half_width * float(np.mean(times_s)), idle_pieces - 1),

@@ -2,9 +2,7 @@
 
 import math
 
-from scipy.special import stdtrit
-
-from joulebox_agent.estimates.estimate import CONFIDENCE
+from joulebox_agent.estimates.estimate import t_quantile
 
 PILOT_WINDOWS = 5
 ADVISED_REFRESHES = 15  # of a gauge in a window
@@ -24,8 +22,7 @@ def window_s_for_share(
     """
     needs_s = [] if refresh_s is None else [ADVISED_REFRESHES * refresh_s]
     if step_j is not None and power_w:
-        t = float(stdtrit(PILOT_WINDOWS - 1, 0.5 + CONFIDENCE / 2))
-        needs_s.append(t * step_j / math.sqrt(6 * PILOT_WINDOWS) / (share * power_w))
+        needs_s.append(t_quantile(PILOT_WINDOWS - 1) * step_j / math.sqrt(6 * PILOT_WINDOWS) / (share * power_w))
     elif step_j is not None:
         return None
     return max(needs_s, default=None)

@@ -12,8 +12,6 @@ from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
-from scipy.linalg import cholesky, solve_triangular
-from scipy.optimize import nnls
 
 from joulebox_agent.errors import AgentError
 from joulebox_agent.estimates import drift
@@ -186,8 +184,10 @@ def _not_told_apart(direction: drift.Floats, stages: tuple[str, ...]) -> FitErro
 
 def _positive(correlation: drift.Floats, design: drift.Floats, power_w: drift.Floats) -> list[int]:
     """Columns that non-negative least squares leaves above 0 W."""
-    root = cholesky(correlation, lower=True)
-    solution, _ = nnls(solve_triangular(root, design, lower=True), solve_triangular(root, power_w, lower=True))
+    from scipy.optimize import nnls  # loads for half a second, which no other command should wait for
+
+    root = np.linalg.cholesky(correlation)
+    solution, _ = nnls(np.linalg.solve(root, design), np.linalg.solve(root, power_w))
     return [column for column, watts in enumerate(solution) if watts > 0]
 
 

@@ -81,29 +81,6 @@ def stage_intervals(windows: Iterable[Window]) -> dict[str, list[tuple[float, fl
     return found
 
 
-class WindowSplitter:
-    """Closes a window at the first image that ends `window_s` or more after the window's start.
-
-    A window starts where the one before it ended, the first one at `start_s` (the end of the warm-up).
-    """
-
-    def __init__(self, start_s: float, window_s: float) -> None:
-        self._window_s = window_s
-        self._open = Window(start_s)
-
-    def add(self, image: ImageEvent, stages: list[StageEvent]) -> Window | None:
-        """Takes the next image; returns the window it completes, if any."""
-        self._open.add(image, stages)
-        if self._open.wall_s < self._window_s:
-            return None
-        closed, self._open = self._open, Window(image.end_s)
-        return closed
-
-    def rest(self) -> Window | None:
-        """The images after the last closed window, None without any."""
-        return self._open if self._open.images else None
-
-
 def stage_energies_j(window: Window, energy_j: float) -> Mapping[str, float]:
     """Equation 2 of the thesis: E_stage = T_stage / T_total x E_total, over the window's whole wall time.
 

@@ -1,9 +1,9 @@
 """From the spool to the server: blobs first, then the result that names them, then the entry is forgotten."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from joulebox_agent.errors import ServerRefusedError, SpoolFullError
+from joulebox_agent.fleet.journal import Journal
 from joulebox_agent.fleet.server import Server
 from joulebox_agent.fleet.spool import BadEntryError, Entry, Spool
 
@@ -14,7 +14,7 @@ class Delivery:
 
     spool: Spool
     server: Server
-    log: Callable[[str], None]
+    journal: Journal
     in_memory: list[tuple[Entry, dict[str, bytes]]] = field(default_factory=list)
 
     def keep(self, entry: Entry, blobs: dict[str, bytes]) -> None:
@@ -22,7 +22,7 @@ class Delivery:
         try:
             self.spool.put(entry, blobs)
         except SpoolFullError as error:
-            self.log(str(error))
+            self.journal.say("disk", str(error), "warning")
             self.in_memory.append((entry, blobs))
 
     def send_all(self) -> None:
@@ -34,7 +34,8 @@ class Delivery:
                 self._send(entry, blobs)
             except (BadEntryError, ServerRefusedError) as error:
                 self.spool.set_aside(path, str(error))
-                self.log(f"Set aside in {self.spool.bad}: {path.name}: {error}")
+                self.journal.say("set aside", f"Set aside in {self.spool.bad}: {path.name}: {error}", "warning",
+                                 attempt_id=path.stem)  # fmt: skip
             else:
                 self.spool.done(path)
 
@@ -47,7 +48,9 @@ class Delivery:
                 try:
                     self._send(*item)
                 except ServerRefusedError as error:  # it stays in memory until there is room to set it aside
-                    self.log(f"The result of attempt {item[0].attempt_id} is refused: {error}")
+                    attempt_id = item[0].attempt_id
+                    self.journal.say("refused", f"The result of attempt {attempt_id} is refused: {error}", "warning",
+                                     attempt_id=attempt_id)  # fmt: skip
                     continue
             self.in_memory.remove(item)
 
@@ -63,4 +66,5 @@ class Delivery:
             for sha256, content in blobs.items():
                 self.server.put_blob(sha256, content, even_if_there=True)
             accepted = self.server.put_result(entry.attempt_id, entry.document)
-        self.log(f"Result of attempt {entry.attempt_id} delivered ({accepted}).")
+        words = f"Result of attempt {entry.attempt_id} delivered ({accepted})."
+        self.journal.say("delivered", words, attempt_id=entry.attempt_id)

@@ -58,6 +58,10 @@ class _Leases(_Answer):
     leases: list[Lease]
 
 
+class _Accepted(_Answer):
+    accepted: str
+
+
 class _Device(_Answer):
     device_id: str
     token: str
@@ -130,14 +134,13 @@ class Server:
         self._call("PUT", f"/blobs/{sha256}", content=content, headers=headers)
 
     def put_result(self, attempt_id: str, document: dict[str, Any]) -> str:
-        """ "ok" or "late"; "again" when the server had this very document."""
+        """ "ok" or "late"; "again" when the server had this very document.
+
+        Only the server's own words count: whoever else answers (the sign-in page of a network) has not stored it.
+        """
         answer = self._call("PUT", f"/attempts/{attempt_id}/result", json=document)
-        if answer.status_code == 200:
-            return "again"
-        try:
-            return str(answer.json().get("accepted", "ok"))
-        except (ValueError, AttributeError):
-            return "ok"
+        accepted = _read(_Accepted, answer).accepted
+        return "again" if answer.status_code == 200 else accepted
 
     def download(self, sha256: str, target: Path) -> None:
         """Writes a blob to `target`. Raises ServerRefusedError when it is larger than a bundle may be."""
@@ -196,6 +199,10 @@ class Server:
         if status < 300:
             return
         detail, code = _problem(answer)
+        if status != 413 and not _speaks_problems(answer):
+            raise ServerUnreachableError(
+                f"Something else than a joulebox server answers at {self.url}: {status} {detail}"
+            )
         if status == 401:
             raise TokenRejectedError(
                 f"The server at {self.url} rejects this device's credentials ({detail}); "
@@ -208,17 +215,20 @@ class Server:
 
 
 def _read(model: type[Model], answer: httpx2.Response) -> Model:
-    """The answer as `model`; anything else is not a joulebox server."""
+    """The answer as `model`. Raises ServerUnreachableError: anything else is not a joulebox server."""
     try:
         return model.model_validate_json(answer.content)
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"]) or "body"
-        raise ServerRefusedError(
-            f"The answer of {answer.request.url} is not understood: {where}: {first['msg']}.",
-            answer.status_code,
-            "not_understood",
+        raise ServerUnreachableError(
+            f"The answer of {answer.request.url} is not understood: {where}: {first['msg']}."
         ) from error
+
+
+def _speaks_problems(answer: httpx2.Response) -> bool:
+    """Whether a refusal has the form in which every joulebox server refuses (RFC 9457)."""
+    return str(answer.headers.get("Content-Type", "")).startswith("application/problem+json")
 
 
 def _problem(answer: httpx2.Response) -> tuple[str, str]:

@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import sys
+import tempfile
 import uuid
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from joulebox_agent.errors import AgentError, UsageError
 
 BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
+NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 
 
 class Enrolment(BaseModel):
@@ -55,6 +57,11 @@ class StateDir:
     @property
     def scratch(self) -> Path:
         return self.root / "scratch"
+
+    @property
+    def doing(self) -> Path:
+        """What a running agent does now, for `status`."""
+        return self.root / "doing.json"
 
     @property
     def leases(self) -> Path:
@@ -111,6 +118,33 @@ class StateDir:
         """Whether an agent runs on this folder now."""
         with open(self.root / "lock", "a+", encoding="utf-8") as file:
             return not _try_lock(file.fileno())
+
+
+def machine_lock_file() -> Path:
+    """One place for all users of the machine: two agents would measure each other's work."""
+    if sys.platform == "win32":
+        return Path(os.environ.get("PROGRAMDATA", "C:\\ProgramData"), "joulebox-agent.lock")
+    shared = Path("/tmp")
+    return (shared if shared.is_dir() else Path(tempfile.gettempdir())) / "joulebox-agent.lock"
+
+
+@contextlib.contextmanager
+def machine_lock(path: Path) -> Iterator[None]:
+    """Holds the machine for one agent that measures. Raises AgentError when another does; ends with the process."""
+    try:
+        try:
+            descriptor = os.open(path, os.O_RDONLY | NO_LINK)
+        except FileNotFoundError:
+            descriptor = os.open(path, os.O_RDONLY | os.O_CREAT | NO_LINK, 0o644)
+    except OSError as error:
+        raise AgentError(f"The lock of this machine {path} cannot be opened: {error.strerror}.") from error
+    with os.fdopen(descriptor) as file:
+        if not _try_lock(file.fileno()):
+            raise AgentError(
+                "Another joulebox-agent measures this machine, and two would measure each other; "
+                "stop it, or let this one use --source replay."
+            )
+        yield
 
 
 if sys.platform == "win32":

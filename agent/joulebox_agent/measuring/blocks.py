@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from joulebox_agent.estimates.estimate import Interval, t_quantile
+from joulebox_agent.measuring.recording import Recording
 
 Order = Literal["blocks", "sequence"]
 FALSE_ALARM = 0.05  # chance that a device that does not drift is flagged in one run
@@ -60,3 +61,16 @@ def control_drift(values: Sequence[float], pilot_count: int, unit: str = "J") ->
             expected = Interval(value=mean, low=mean - half_width, high=mean + half_width)
             return Drift(len(pilot) + offset, value, expected, unit)
     return None
+
+
+def mark_suspects(records: Sequence[Recording], control: int, drift: Drift, pilot_count: int) -> None:
+    """Marks every recording that has windows after the control's last good one."""
+    good_until_s = records[control].windows[drift.last_good].end_s
+    for record in records:
+        later = sum(window.end_s > good_until_s for window in record.windows)
+        if later:
+            record.suspect = (
+                f"the control configuration drifted: {drift.seen:.4g} {drift.unit} an image where its first "
+                f"{pilot_count} windows let expect {drift.expected.value:.4g} ± {drift.expected.half_width:.2g}; "
+                f"{later} of {len(record.windows)} windows are later than its last good one"
+            )

@@ -1,13 +1,16 @@
 """What RAPL's watts are worth at this machine's battery: learnt where both are read, kept in the state folder."""
 
+import json
 import platform
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
 from joulebox_agent.conditions import Conditions
 from joulebox_agent.errors import AgentError
 from joulebox_agent.estimates.calibration import Calibration
+from joulebox_agent.estimates.energies import stretch_energies_j
 from joulebox_agent.estimates.stage_power import FitError
 from joulebox_agent.files import write_whole
 from joulebox_agent.measuring.recording import Recording
@@ -20,36 +23,39 @@ COMPANION = "rapl"
 
 def companion_of(choice: Choice, sysfs_root: Path) -> str | None:
     """The source to read along with a battery, where it can be read: RAPL."""
+    return COMPANION if why_no_companion(choice, sysfs_root) is None else None
+
+
+def why_no_companion(choice: Choice, sysfs_root: Path) -> str | None:
+    """Why battery and RAPL cannot be compared here and now, or None."""
     if choice.source.quality != "measured" or not choice.source.method.startswith("battery"):
-        return None
-    return COMPANION if make_source(COMPANION, sysfs_root).report().available else None
+        told = [
+            f"{report.method}: {report.reason}" for report in choice.declined if report.method.startswith("battery")
+        ]
+        return "; ".join(told) or f"{choice.source.method} is no battery"
+    report = make_source(COMPANION, sysfs_root).report()
+    remedy = f" ({report.remedy})" if report.remedy else ""
+    return None if report.available else f"{COMPANION}: {report.reason}{remedy}"
 
 
 def calibrate(records: Sequence[Recording], conditions: Conditions) -> Calibration:
     """The line through all windows and idle times of a session that read both. Raises FitError."""
-    pairs = [pair for pair in _pairs(records) if pair is not None]
+    first = records[0]
+    stretches = [(window.start_s, window.end_s) for record in records for window in record.windows] + first.idle
+    battery_j = stretch_energies_j(PowerSeries(first.samples), first.source.primary, stretches)
+    rapl_j = stretch_energies_j(PowerSeries(first.companion_samples), "counter", stretches)
+    pairs_w = [
+        (at_battery_j / (end_s - start_s), at_cpu_j / (end_s - start_s))
+        for (start_s, end_s), at_battery_j, at_cpu_j in zip(stretches, battery_j, rapl_j, strict=True)
+        if at_battery_j is not None and at_cpu_j is not None
+    ]
     return Calibration.fit(
-        [battery_w for battery_w, _ in pairs],
-        [rapl_w for _, rapl_w in pairs],
+        [battery_w for battery_w, _ in pairs_w],
+        [rapl_w for _, rapl_w in pairs_w],
         datetime.now(UTC),
         conditions,
         platform.node(),
     )
-
-
-def _pairs(records: Sequence[Recording]) -> list[tuple[float, float] | None]:
-    first = records[0]
-    battery, rapl = PowerSeries(first.samples), PowerSeries(first.companion_samples)
-    stretches = [(window.start_s, window.end_s) for record in records for window in record.windows]
-
-    def powers(start_s: float, end_s: float) -> tuple[float, float] | None:
-        at_battery_j = battery.energy_j(start_s, end_s, first.source.primary)
-        at_cpu_j = rapl.energy_j(start_s, end_s, "counter")
-        if at_battery_j is None or at_cpu_j is None:
-            return None
-        return at_battery_j / (end_s - start_s), at_cpu_j / (end_s - start_s)
-
-    return [powers(*stretch) for stretch in [*stretches, *first.idle]]
 
 
 def keep(calibration: Calibration, folder: Path) -> None:
@@ -61,18 +67,25 @@ def keep(calibration: Calibration, folder: Path) -> None:
         raise AgentError(f"The calibration cannot be kept in {folder / FILE}: {error.strerror}.") from error
 
 
-def stored(folder: Path, conditions: Conditions) -> tuple[Calibration | None, str | None]:
-    """(the stored calibration, None), or (None, why it may not be used now); (None, None) where there is none."""
+@dataclass(frozen=True)
+class Stored:
+    """What the state folder holds: the calibration, if any, and why it may not be used now (None: it may)."""
+
+    calibration: Calibration | None
+    unused: str | None
+
+
+def stored(folder: Path, conditions: Conditions) -> Stored:
+    """This device's calibration, judged by the conditions of now."""
     try:
-        calibration = Calibration.model_validate_json((folder / FILE).read_bytes())
+        calibration = Calibration.from_json(json.loads((folder / FILE).read_bytes()))
     except FileNotFoundError:
-        return None, None
+        return Stored(None, "there is none yet")
     except OSError as error:
-        return None, f"{folder / FILE} cannot be read: {error.strerror}"
-    except ValueError:
-        return None, f"{folder / FILE} is damaged: calibrate again"
-    reason = calibration.valid_reason(datetime.now(UTC), conditions, platform.node())
-    return (calibration, None) if reason is None else (None, reason)
+        return Stored(None, f"{folder / FILE} cannot be read: {error.strerror}")
+    except (ValueError, RecursionError, FitError):
+        return Stored(None, f"{folder / FILE} is damaged: calibrate again")
+    return Stored(calibration, calibration.valid_reason(datetime.now(UTC), conditions, platform.node()))
 
 
 def calibration_for(records: Sequence[Recording], folder: Path) -> tuple[Calibration | None, list[str]]:
@@ -84,12 +97,14 @@ def calibration_for(records: Sequence[Recording], folder: Path) -> tuple[Calibra
     try:
         own = calibrate(records, conditions)
     except FitError as error:
-        kept, reason = stored(folder, conditions)
-        if kept is not None:
-            return kept, ["stage energies use the stored calibration of RAPL"]
-        return None, [f"RAPL is not calibrated: {reason or error}"]
+        kept = stored(folder, conditions)
+        if kept.calibration is None:
+            return None, [f"RAPL is not calibrated: {error}"]
+        if kept.unused is not None:
+            return None, [f"the stored calibration of RAPL is not used: {kept.unused}"]
+        return kept.calibration, [f"stage energies use the stored calibration of RAPL: {kept.calibration.words()}"]
     try:
         keep(own, folder)
     except AgentError as error:
         return own, [str(error)]
-    return own, [f"RAPL calibrated: P_battery = {own.a_w:.3g} W + {own.b:.3g} P_rapl, from {own.pair_count} stretches"]
+    return own, [f"RAPL calibrated: {own.words()}"]

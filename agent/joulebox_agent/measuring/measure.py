@@ -25,6 +25,7 @@ def make_meter(
     clock: Clock | None = None,
     lost_after_s: float = SENSOR_LOST_AFTER_S,
     companion: str | None = None,
+    leave: threading.Event | None = None,
 ) -> Meter:
     """A meter for the chosen source, sampled in a process of its own.
 
@@ -42,11 +43,17 @@ def make_meter(
         def make() -> Sampling:
             return SamplerProcess(choice, sysfs_root, companion, lost_after_s)
 
-    return Meter(choice, make, own_clock, sysfs_root, stop or threading.Event(), listener or Silent())
+    return Meter(choice, make, own_clock, sysfs_root, stop or threading.Event(), listener or Silent(), leave)
 
 
 class Measurement:
-    """Runs one job under one rule. `run()` may be called once."""
+    """Runs one job under one rule. `run()` may be called once.
+
+    stop   ends it at once, with StoppedError
+    leave  ends it as the time limit does with the windows that it has, or with the one under way if that is all that
+           is missing for an answer; else as `stop`
+    companion  the name of a second source that is read along for calibration
+    """
 
     def __init__(
         self,
@@ -60,10 +67,12 @@ class Measurement:
         lost_after_s: float = SENSOR_LOST_AFTER_S,
         charging: Charging | None = None,
         make_loop: LoopFactory = RendererLoop,
+        leave: threading.Event | None = None,
+        companion: str | None = None,
     ) -> None:
         if not rule.meter:
-            choice = choose("none")
-        meter = make_meter(choice, sysfs_root, listener, stop, clock, lost_after_s)
+            choice, companion = choose("none"), None
+        meter = make_meter(choice, sysfs_root, listener, stop, clock, lost_after_s, companion, leave)
         self._session = Session([Configuration(job)], rule, meter, charging=charging, make_loop=make_loop)
 
     @property

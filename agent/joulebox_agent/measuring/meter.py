@@ -61,9 +61,10 @@ class Meter:
         sysfs_root: Path,
         stop: threading.Event,
         listener: Listener,
+        leave: threading.Event | None = None,
     ) -> None:
         self.choice, self.clock, self.sysfs_root, self.listener = choice, clock, sysfs_root, listener
-        self._make_sampler, self._stop = make_sampler, stop
+        self._make_sampler, self._stop, self._leave = make_sampler, stop, leave
         self._sampler = make_sampler()
         self._running = False
         self._cpu_shares: list[float] = []
@@ -145,6 +146,10 @@ class Meter:
         """Raises StoppedError when the measurement was asked to stop."""
         if self._stop.is_set():
             raise StoppedError("The measurement was stopped before it had an answer.")
+
+    def leaving(self) -> bool:
+        """Whether the measurement was asked to end with the windows that it has, if they are enough for an answer."""
+        return self._leave is not None and self._leave.is_set()
 
     def conditions(self) -> Conditions:
         return read_conditions(self.sysfs_root)

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from joulebox_agent.conditions import Conditions
 from joulebox_agent.errors import RendererError
 from joulebox_agent.estimates.calibration import Calibration
@@ -58,7 +60,9 @@ def build_result(
     samples_sha256, image_sha256, blobs = _blobs(record, image_file)
     fast, primary = _fast_series(record)
     gross_j = energies.gross_j if found.per_image.gross else (None,) * len(windows)
-    evidence = StageEvidence(windows, gross_j, rule.min_windows, energies.widening, fast, primary, calibration, powers)
+    evidence = StageEvidence(
+        windows, gross_j, rule.min_windows, energies.drift_share, fast, primary, calibration, powers
+    )
     document = MeasureDocument(
         **_identity(record.ready, record.last_image),
         method=record.source.method,
@@ -99,7 +103,7 @@ class _Findings:
 def _find(record: Recording, rule: MeasureRule) -> _Findings:
     windows, notes = usable_windows(record), list(record.notes)
     series = PowerSeries(record.samples)
-    energies = _energies(record, series, windows, rule.min_windows)
+    energies = _energies(record, series, windows)
     notes += energies.notes
     idle_w = idle_power(series, record.source, record.idle, energies.lag_s) if record.idle else None
     if record.idle and idle_w is None:
@@ -157,11 +161,11 @@ def usable_windows(record: Recording) -> list[Window]:
     return [only]
 
 
-def _energies(record: Recording, series: PowerSeries, windows: list[Window], pilot_count: int) -> WindowEnergies:
+def _energies(record: Recording, series: PowerSeries, windows: list[Window]) -> WindowEnergies:
     if record.void is not None:
         nothing = (None,) * len(windows)
         return WindowEnergies(nothing, nothing, ())
-    return window_energies(series, record.source, windows, record.source_report.resolution_j, pilot_count)
+    return window_energies(series, record.source, windows, record.source_report.resolution_j)
 
 
 def _energy_per_image(
@@ -173,7 +177,9 @@ def _energy_per_image(
 ) -> EnergyPerImage:
     def interval(values_j: tuple[float | None, ...]) -> Interval | None:
         known = [v / w.images for v, w in zip(values_j, windows, strict=True) if v is not None]
-        return two_stage_interval(known, pilot_count, widening=energies.widening) if len(known) >= 2 else None
+        if len(known) < 2:
+            return None
+        return two_stage_interval(known, pilot_count, drift_half=energies.drift_share * float(np.mean(known)))
 
     gross, counter = interval(energies.gross_j), interval(energies.counter_j)
     net = None
@@ -185,7 +191,7 @@ def _energy_per_image(
             idle_w,
             idle_pieces,
             pilot_count,
-            energies.widening,
+            energies.drift_share * gross.value,
         )
     return EnergyPerImage(gross=gross, net=net, counter=counter)
 

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from joulebox_agent.errors import RendererError
 from joulebox_agent.estimates.energies import window_energies
 from joulebox_agent.estimates.estimate import two_stage_interval, windows_needed
-from joulebox_agent.loop import DoneEvent, ImageEvent, RendererLoop
-from joulebox_agent.measuring.blocks import Drift, Order, control_drift, shuffled
+from joulebox_agent.loop import RendererLoop
+from joulebox_agent.measuring.blocks import Drift, Order, control_drift, mark_suspects, shuffled
 from joulebox_agent.measuring.charging import Charging
 from joulebox_agent.measuring.journal import Journal
-from joulebox_agent.measuring.meter import LOOK_EVERY_S, Meter
+from joulebox_agent.measuring.meter import Meter
+from joulebox_agent.measuring.picture import keep_picture
 from joulebox_agent.measuring.recording import Recording, VoidWindow
 from joulebox_agent.measuring.rule import MeasureRule
 from joulebox_agent.measuring.visit import Ending, Job, LoopFactory, Visit
@@ -79,8 +80,8 @@ class Session:
         self._meter.start()
         try:
             self._measure()
-            for index in range(len(self.records)):
-                self._keep_image(index)
+            for configuration, record in zip(self._configurations, self.records, strict=True):
+                keep_picture(record, configuration.job, self._meter, self._make_loop, self._rule.silence_s)
         finally:
             self._meter.stop()
             after = self._meter.conditions()
@@ -203,27 +204,28 @@ class Session:
 
     def _decide(self, index: int) -> None:
         """The running estimate after every window, and when the pilot is complete, Stein's second stage."""
-        values, unit, widening = self._values(index)
+        values, unit, drift_share = self._values(index)
         if len(values) < 2:
             return
-        interval = two_stage_interval(values, self._rule.min_windows, widening=widening)
+        drift_half = drift_share * sum(values) / len(values)
+        interval = two_stage_interval(values, self._rule.min_windows, drift_half=drift_half)
         self._estimate = f"{interval.value:.4g} {unit} an image ± {interval.half_width:.2g}"
         if not self._decided[index] and len(self.records[index].windows) >= self._wanted[index]:
             self._decided[index] = True
             pilot = values[: max(2, self._rule.min_windows)]
-            needed = windows_needed(pilot, self._rule.half_width, widening=widening)
+            needed = windows_needed(pilot, self._rule.half_width, drift_share=drift_share)
             self._wanted[index] = min(self._rule.max_windows, max(self._wanted[index], needed))
 
     def _values(self, index: int) -> tuple[list[float], str, float]:
         """What decides the number of windows: joules an image, seconds an image where no energy is known;
-        their unit; how much drift widens their interval."""
+        their unit; the half-width that drift asks for, as a share."""
         record = self.records[index]
         series = PowerSeries(self._meter.samples())
         found = window_energies(series, record.source, record.windows, record.source_report.resolution_j)
         joules = [g / w.images for g, w in zip(found.gross_j, record.windows, strict=True) if g is not None]
         if joules:
-            return joules, "J", found.widening
-        return [w.image_time_s / w.images for w in record.windows], "s", 1.0
+            return joules, "J", found.drift_share
+        return [w.image_time_s / w.images for w in record.windows], "s", 0.0
 
     def _show(self, index: int, elapsed_s: float) -> None:
         self._listener.progress(elapsed_s, len(self.records[index].windows), self._wanted[index], self._estimate)
@@ -233,7 +235,8 @@ class Session:
         record = self.records[index]
         if self._rule.meter:
             done, wanted = len(record.windows), self._wanted[index]
-            record.note(f"the limit of {self._rule.max_seconds:g} s ended it after {done} of {wanted} windows")
+            why = "a stop of the agent" if self._meter.leaving() else f"the limit of {self._rule.max_seconds:g} s"
+            record.note(f"{why} ended it after {done} of {wanted} windows")
 
     def _trouble_ends_it(self) -> bool:
         """Whether the source is gone for good: what is incomplete is void, what is complete stays.
@@ -280,46 +283,8 @@ class Session:
         control = self._course.control
         if len(self.records) < 2 or self._configurations[control].timed_only:
             return
-        record = self.records[control]
         values, unit, _ = self._values(control)
-        if len(values) != len(record.windows):
-            return
-        self.drift = control_drift(values, self._rule.min_windows, unit)
-        if self.drift is None:
-            return
-        good_until_s = record.windows[self.drift.last_good].end_s
-        for other in self.records:
-            later = sum(window.end_s > good_until_s for window in other.windows)
-            if later:
-                other.suspect = (
-                    f"the control configuration drifted: {self.drift.seen:.4g} {unit} an image where its first "
-                    f"{self._rule.min_windows} windows let expect {self.drift.expected.value:.4g} ± "
-                    f"{self.drift.expected.half_width:.2g}; {later} of {len(other.windows)} windows are later than "
-                    "its last good one"
-                )
-
-    def _keep_image(self, index: int) -> None:
-        """Makes sure the last picture is on disk: a renderer that was stopped may not have written it. Without
-        room for it the measurement still stands."""
-        record, job = self.records[index], self._configurations[index].job
-        if record.void is not None or record.last_image is None or job.image_file.exists():
-            return
-        try:
-            self._render_once(record, record.last_image.pixel_sha256, job)
-        except RendererError as error:
-            record.note(f"the picture was not kept: {error}")
-        if not job.image_file.exists():
-            record.note("the renderer wrote no picture")
-
-    def _render_once(self, record: Recording, pixel_sha256: str, job: Job) -> None:
-        arguments = [*job.arguments, "-o", str(job.image_file), "--max-images", "1"]
-        clock = self._meter.clock
-        with self._make_loop(job.command, arguments, clock, lambda line: None) as loop:
-            heard_s = clock.now_s()
-            while not isinstance(event := loop.next_event(LOOK_EVERY_S), DoneEvent):
-                self._meter.check_stop()
-                heard_s = heard_s if event is None else clock.now_s()
-                if clock.now_s() - heard_s > self._rule.silence_s:
-                    raise RendererError(f"The renderer said nothing for {self._rule.silence_s:g} s; it was ended.")
-                if isinstance(event, ImageEvent) and event.pixel_sha256 != pixel_sha256:
-                    record.make_void("the picture changed when it was rendered once more to keep it", False)
+        if len(values) == len(self.records[control].windows):
+            self.drift = control_drift(values, self._rule.min_windows, unit)
+        if self.drift is not None:
+            mark_suspects(self.records, control, self.drift, self._rule.min_windows)

@@ -12,7 +12,7 @@ from joulebox_agent.conditions import Conditions
 from joulebox_agent.errors import RendererError
 from joulebox_agent.estimates.windows import Window
 from joulebox_agent.loop import STOP_WITHIN_S, DoneEvent, ImageEvent, ReadyEvent, RendererLoop, StageEvent
-from joulebox_agent.measuring.meter import LOOK_EVERY_S, Meter
+from joulebox_agent.measuring.meter import LOOK_EVERY_S, Meter, StoppedError
 from joulebox_agent.measuring.recording import Recording, VoidWindow
 from joulebox_agent.measuring.rule import SLOWEST_REFRESH_S, MeasureRule
 
@@ -245,13 +245,23 @@ class Visit:
             self._open = None
         self._ending = "trouble"
 
+    def _leaving(self) -> bool:
+        """Whether to end with the windows there are. Raises StoppedError when more than one is missing for an answer;
+        one that is under way is waited for."""
+        if not self._meter.leaving():
+            return False
+        missing = self._rule.min_windows - len(self._record.windows)
+        if missing > 1 or not self._rule.meter:
+            raise StoppedError("The measurement was asked to stop long before it had an answer.")
+        return missing <= 0
+
     def _time_up(self, ready_s: float) -> bool:
-        """Whether the time limit ends the loop: never before one image exists, which a hung renderer's
-        silence limit bounds."""
+        """Whether the time limit, or the wish to leave, ends the loop: never before one image exists, which a hung
+        renderer's silence limit bounds."""
         spent_s = self._record.spent_s + self._clock.now_s() - ready_s
         if self._then is not None:
             return False
-        if spent_s <= self._rule.max_seconds or self._record.last_image is None:
+        if (spent_s <= self._rule.max_seconds and not self._leaving()) or self._record.last_image is None:
             return False
         self._ending = "time"
         return True

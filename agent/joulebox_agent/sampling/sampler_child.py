@@ -77,6 +77,7 @@ def main(name: str, sysfs_root: str, *companion: str) -> int:
     print(json.dumps({"method": sources[0].method, "poll_s": sources[0].poll_s}), flush=True)
     lower_priority()
     clock, asked = SystemClock(), _Asked(sys.stdin)
+    poll_s = min(source.poll_s for source in sources)  # a counter of a small range must not wrap twice
     began_s = time.process_time()
     due_s = clock.now_s()
     while not asked.ended:
@@ -89,7 +90,7 @@ def main(name: str, sysfs_root: str, *companion: str) -> int:
             print("\n".join(reversed(lines)), flush=True)  # the companion first: who waits waits for the source
         except OSError:
             return 0  # nobody listens any more
-        due_s = max(due_s + sources[0].poll_s, clock.now_s())
+        due_s = max(due_s + poll_s, clock.now_s())
         asked.wait(due_s - clock.now_s())
     return 0
 

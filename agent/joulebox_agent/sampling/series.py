@@ -15,6 +15,7 @@ Floats = NDArray[np.float64]
 HELD_TOO_LONG = 1.5  # refreshes after which an unchanged value was refreshed, not held
 # What may pass without a good sample: three polls, or as many refreshes as fit into a tenth of the stretch.
 LEAST_GAP_S, GAP_POLLS, GAP_REFRESHES, GAP_SHARE = 2.0, 3, 3, 0.1
+CLOSEST = 0.1  # of the spacings, from the shortest on, that may be a look out of turn
 FEWEST_CHANGES = 4  # of the power, below which its refresh is told by the other raw numbers
 RECENT_STEPS = 8  # of a counter, whose rate carries it on after the last one
 TORN = 0.5  # refreshes; a power that stood shorter than this was read while the packs were being updated
@@ -54,14 +55,18 @@ class PowerSeries:
     def _measured_refresh_s(self) -> float | None:
         """The spacing of the closest updates: longer ones skip repeated values.
 
-        Changes of the power tell it where there are enough; other raw numbers may move at a pace of their own.
+        Changes of the power tell it where there are enough; other raw numbers may move at a pace of their own. A look
+        out of turn (a window's edge) sees an update early and splits a spacing in two: no update is counted between.
         """
         times_s = self._changes_s if self._changes_s.size > FEWEST_CHANGES else self._seen_s
         gaps_s = np.diff(times_s[1:])
         if gaps_s.size < 1 or times_s.size < 3:
             return None
-        closest_s = float(np.quantile(gaps_s, 0.1, method="inverted_cdf"))
-        return float(np.mean(gaps_s[gaps_s < 1.9 * closest_s]))
+        poll_s = float(np.median(np.diff(self.poll_times_s)))
+        closest_s = max(poll_s, float(np.quantile(gaps_s, CLOSEST, method="inverted_cdf")))
+        near_s = gaps_s[gaps_s < 1.9 * closest_s]
+        whole = int((near_s >= closest_s / 2).sum())
+        return float(near_s.sum()) / whole if whole else closest_s
 
     def _drop_torn(self) -> None:
         """Forgets powers that stood for less than half a refresh: read while one pack was ahead of the other."""

@@ -36,8 +36,10 @@ class Trace:
 def read_trace(path: Path) -> Trace:
     """Reads t_s,power_w rows as CSV (with that header) or as NDJSON (.ndjson, .jsonl). Raises UsageError."""
     try:
+        if path.exists() and not path.is_file():  # a device may never end
+            raise UsageError(f"The trace {path} is no file; give one with rows of t_s,power_w.")
         text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:
         raise UsageError(f"The trace {path} cannot be read: {getattr(error, 'strerror', None) or error}.") from error
     return parse_trace(text, path.name, as_json=path.suffix in (".ndjson", ".jsonl"))
 

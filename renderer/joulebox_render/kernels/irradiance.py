@@ -25,35 +25,31 @@ def bucket_of(cx, cy, cz, mask):
 
 
 @device
-def grid_gradients(incident, distance, row, polar, azimuth, c):
+def grid_gradients(incident, nearness, row, strata, c):
     """What channel c of a gather's grid, whose first ray is `row`, says of irradiance: (mean incident radiance, its
     translational gradient, its rotational gradient), each gradient as its two components in the tangent frame.
 
-    Source: Ward & Heckbert 1992, with exact integrals over a stratum's side.
+    nearness (N,) f4 is one over the rays' lengths [1/m]. Source: Ward & Heckbert 1992, with exact integrals over a
+    stratum's side.
     """
+    polar, azimuth = strata.ring.shape[0], strata.spoke.shape[0]
     total, across_x, across_y, turn_x, turn_y = 0.0, 0.0, 0.0, 0.0, 0.0
+    before = row + (azimuth - 1) * polar
     for k in range(azimuth):
-        before = (k + azimuth - 1) % azimuth
-        phi = 2.0 * math.pi * (k + 0.5) / azimuth
-        phi_edge = 2.0 * math.pi * k / azimuth
+        here = row + k * polar
         outward, sideways, turning = 0.0, 0.0, 0.0
+        inner, inner_nearness = 0.0, np.float32(0.0)
         for j in range(polar):
-            i = row + k * polar + j
-            light = incident[i, c]
+            light, near = incident[here + j, c], nearness[here + j]
             total += light
-            sin2 = (j + 0.5) / polar
-            turning += light * math.sqrt(sin2 / (1.0 - sin2))
-            if j > 0:
-                sin2_edge = j / polar
-                closer = min(distance[i], distance[i - 1])
-                outward += math.sqrt(sin2_edge) * (1.0 - sin2_edge) / closer * (light - incident[i - 1, c])
-            i_before = row + before * polar + j
-            closer = min(distance[i], distance[i_before])
-            side = math.sqrt((j + 1) / polar) - math.sqrt(j / polar)
-            sideways += side / closer * (light - incident[i_before, c])
-        outward *= 2.0 * math.pi / azimuth
-        cos_phi, sin_phi = math.cos(phi), math.sin(phi)
-        cos_edge, sin_edge = math.cos(phi_edge), math.sin(phi_edge)
+            turning += light * strata.ring[j, 0]
+            outward += strata.ring[j, 1] * max(near, inner_nearness) * (light - inner)
+            sideways += strata.ring[j, 2] * max(near, nearness[before + j]) * (light - incident[before + j, c])
+            inner, inner_nearness = light, near
+        before = here
+        cos_phi, sin_phi, cos_edge, sin_edge = (
+            strata.spoke[k, 0], strata.spoke[k, 1], strata.spoke[k, 2], strata.spoke[k, 3],
+        )  # fmt: skip
         across_x += cos_phi * outward - sin_edge * sideways
         across_y += sin_phi * outward + cos_edge * sideways
         turn_x -= sin_phi * turning
@@ -63,23 +59,31 @@ def grid_gradients(incident, distance, row, polar, azimuth, c):
 
 
 @device
-def reach_of_gather(distance, row, polar, azimuth, tolerance):
-    """Harmonic mean distance of a gather's rays, or the nearest not seen edge-on over the tolerance if less [m]."""
-    inverse, closest = 0.0, 1e30
-    for i in range(polar * azimuth):
-        length = max(1e-12, distance[row + i])
-        inverse += 1.0 / length
-        if (i % polar + 0.5) / polar < EDGE_ON and length < closest:
-            closest = length
-    return min(polar * azimuth / inverse, closest / tolerance)
+def reach_of_gather(distance, row, strata, tolerance):
+    """Harmonic mean distance of a gather's rays, or the nearest not seen edge-on over the tolerance if less [m].
+
+    distance is overwritten with one over itself.
+    """
+    polar, count = strata.ring.shape[0], strata.ring.shape[0] * strata.spoke.shape[0]
+    total, nearest = 0.0, np.float32(0.0)
+    for first in range(row, row + count, polar):
+        for j in range(polar):
+            near = np.float32(1.0) / max(np.float32(1e-12), distance[first + j])
+            distance[first + j] = near
+            total += near
+            if (j + 0.5) < EDGE_ON * polar:
+                nearest = max(nearest, near)
+    return min(count / total, 1.0 / (nearest * tolerance))
 
 
 @kernel
-def summarize_gather(points, first, polar, azimuth, tolerance, incident, distance, near, far, cache, row):
+def summarize_gather(points, first, strata, tolerance, incident, distance, near, far, cache, row):
     """Make records of final gathers over stratified cosine grids; returns nothing.
 
     points    Points; their rows from `first` on become cache rows from `row` on, one for each gather in incident
-    incident  (gathers * azimuth * polar, 3) f8 radiance, polar strata fastest; distance (...,) f4 [m] to what was hit
+    strata    Strata of the grid
+    incident  (gathers * azimuth * polar, 3) f8 radiance, polar strata fastest
+    distance  (gathers * azimuth * polar,) f4 [m] to what was hit, overwritten with one over itself
     near, far (gathers,) f4 least and largest radius that a record may have [m]
     cache     CacheRecords, rows overwritten
 
@@ -89,14 +93,15 @@ def summarize_gather(points, first, polar, azimuth, tolerance, incident, distanc
     `near` wins, the gradient is scaled down alike. Of the gradients, in column c of a record's nine numbers
     3 c ... 3 c + 2 stands the world vector of channel c.
     """
+    rays = strata.ring.shape[0] * strata.spoke.shape[0]
     for gather in range(near.shape[0]):
-        point, out, start = first + gather, row + gather, gather * polar * azimuth
+        point, out, start = first + gather, row + gather, gather * rays
         nx, ny, nz = row3(points.normal, point)
         sx, sy, sz, tx, ty, tz = tangent_frame(nx, ny, nz)
-        radius = reach_of_gather(distance, start, polar, azimuth, tolerance)
+        radius = reach_of_gather(distance, start, strata, tolerance)
         steepest = 0.0
         for c in range(3):
-            mean, ax, ay, bx, by = grid_gradients(incident, distance, start, polar, azimuth, c)
+            mean, ax, ay, bx, by = grid_gradients(incident, distance, start, strata, c)
             irradiance = math.pi * mean
             cache.irradiance[out, c] = irradiance
             slope = math.sqrt(ax * ax + ay * ay)

@@ -13,6 +13,7 @@ from joulebox_render.kernels.gathering import short_ray
 from joulebox_render.kernels.kdtree import nearest_point
 from joulebox_render.kernels.rng import mix
 from joulebox_render.kernels.surface import surface_at_hit
+from joulebox_render.kernels.transport import push_point
 from joulebox_render.kernels.vector import row3, set_row3, tangent_frame
 
 DIFFUSE = 0
@@ -24,8 +25,15 @@ NO_CELL = np.uint64(0xFFFFFFFFFFFFFFFF)
 RANGES = 2.3
 # Distance of the points that mark cells, in edges: closer ones would meet few cells more.
 LATTICE = 0.75
+# What a cell is trusted with: nothing, rays that come from far away, all rays that are not short.
+NEVER, FROM_AFAR, ALWAYS = 0.0, 0.5, 1.0
+# How many times as far a ray must come to be told by a cell beside which something stands.
+BESIDE = 2.0
+INVERSE_PI = 1.0 / math.pi
 # Rays that feel whether a cell is all in one place.
 FEELERS = 5
+# What is unsure about a point because no cell holds it.
+OUTSIDE = 2
 
 
 @device
@@ -139,9 +147,9 @@ def aim_feelers(tree, row, position, normal, lift, length, origin, direction, li
 def look_up_irradiance(table, tree, records, doubtful, position, normal, reach, cos_limit, scratch, irradiance, unsure):
     """Irradiance of each point's cell, or of the record nearest to it where the table has no such cell.
 
-    irradiance (Q, 3) f4 [W m^-2] and unsure (Q,) u1 are overwritten; unsure is 1 where the cell is, or there is none;
-    in a table without cells, where no record lies within `reach` [m] or it is marked in doubtful (R,) u1. As the
-    nearest record but for a cell's size, and five to ten times as fast; returns how many cells were met.
+    irradiance (Q, 3) f4 [W m^-2] and unsure (Q,) u1 are overwritten; unsure is 1 where the cell is, OUTSIDE where there
+    is none; in a table without cells 1 where no record lies within `reach` [m] or it is marked in doubtful (R,) u1. As
+    the nearest record but for a cell's size, and five to ten times as fast; returns how many cells were met.
     Source: Christensen 1999.
     """
     met, has_cells = 0, table.key.shape[0] > 1
@@ -153,46 +161,61 @@ def look_up_irradiance(table, tree, records, doubtful, position, normal, reach, 
         if table.key[slot] != NO_CELL:
             for c in range(3):
                 irradiance[q, c] = table.light[slot, c]
-            unsure[q] = table.light[slot, 3] == 0.0
+            unsure[q] = table.light[slot, 3] < ALWAYS
             met += 1
             continue
         row = nearest_point(tree, x, y, z, nx, ny, nz, cos_limit, reach * reach, scratch)
         # Nothing is known of the way from a place between the cells to its record.
-        unsure[q] = has_cells or row < 0 or doubtful[row] > 0
+        unsure[q] = OUTSIDE if has_cells else row < 0 or doubtful[row] > 0
         for c in range(3):
             irradiance[q, c] = records[row, c] if row >= 0 else 0.0
     return met
 
 
-@kernel
-def answer_rays(tables, table, resolution, rays, hits, radiance, rest):
-    """Add weight x albedo / pi x irradiance of the cell that each ray ends in to its owner, where the table is sure.
+@device
+def trusted(table, slot, key, sample, distance, resolution):
+    """Whether a slot may answer a ray that came so far [m]; see IrradianceTable.light."""
+    if table.key[slot] == NO_CELL or table.light[slot, 3] == NEVER:
+        return False
+    beside = BESIDE if table.light[slot, 3] == FROM_AFAR else 1.0
+    return not short_ray(key, sample, distance, beside * resolution)
 
-    Rays that end at anything but a diffuse surface, nearer than about `resolution` [m] (see short_ray), in an unsure
-    cell or in none are left alone: their rows go to rest (N,) i4, in order, and their number is returned. Rays that
-    bring nothing in any case (weight 0, or a miss) are not among them. radiance (owners, 3) f8.
+
+@kernel
+def answer_rays(tables, table, resolution, rays, hits, radiance, near, rest):
+    """Add weight x albedo / pi x irradiance of the cell that each ray ends in to its owner, where it may be trusted.
+
+    Diffuse points whose cell may not, or that have none, go to near (Points), as `advance` would write them; the rows
+    of rays that end at other surfaces to rest (N,) i4. Both are overwritten, in the order of the rays; returns how
+    many there are of either. radiance (owners, 3) f8.
     """
     epsilon = tables.epsilon[0]
-    left = 0
+    near_count, rest_count = 0, 0
     for i in range(rays.owner.shape[0]):
         primitive = hits.primitive[i]
         if primitive < 0:
             continue
         material = tables.material[primitive]
-        if tables.material_kind[material] == DIFFUSE and not short_ray(
-            rays.key[i], rays.sample[i], hits.distance[i], resolution
-        ):
-            front, px, py, pz, gx, gy, gz, sx, sy, sz = surface_at_hit(tables, rays, hits, i, primitive)
-            if not (front or tables.material_two_sided[material]):
-                continue
-            x, y, z = px + epsilon * gx, py + epsilon * gy, pz + epsilon * gz
-            slot = find_slot(table.key, cell_key(table, x, y, z, sx, sy, sz))
-            if table.key[slot] != NO_CELL and table.light[slot, 3] > 0.0:
-                owner = rays.owner[i]
-                for c in range(3):
-                    reflectance = tables.material_albedo[material, c] / math.pi
-                    radiance[owner, c] += rays.weight[i, c] * reflectance * table.light[slot, c]
-                continue
-        rest[left] = i
-        left += 1
-    return left
+        if tables.material_kind[material] != DIFFUSE:
+            rest[rest_count] = i
+            rest_count += 1
+            continue
+        front, px, py, pz, gx, gy, gz, sx, sy, sz = surface_at_hit(tables, rays, hits, i, primitive)
+        if not (front or tables.material_two_sided[material]):
+            continue
+        x, y, z = px + epsilon * gx, py + epsilon * gy, pz + epsilon * gz
+        slot = find_slot(table.key, cell_key(table, x, y, z, sx, sy, sz))
+        owner, key, sample = rays.owner[i], rays.key[i], rays.sample[i]
+        ax, ay, az = row3(tables.material_albedo, material)
+        wx, wy, wz = row3(rays.weight, i)
+        if trusted(table, slot, key, sample, hits.distance[i], resolution):
+            radiance[owner, 0] += wx * ax * INVERSE_PI * table.light[slot, 0]
+            radiance[owner, 1] += wy * ay * INVERSE_PI * table.light[slot, 1]
+            radiance[owner, 2] += wz * az * INVERSE_PI * table.light[slot, 2]
+            continue
+        push_point(
+            near, near_count, x, y, z, gx, gy, gz, sx, sy, sz, ax, ay, az, wx, wy, wz,
+            owner, key, sample, hits.distance[i],
+        )  # fmt: skip
+        near_count += 1
+    return near_count, rest_count

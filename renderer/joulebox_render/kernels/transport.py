@@ -1,8 +1,10 @@
 """Paths from the eye and into the scene: camera rays, and what a ray does where it hits."""
 
+import numpy as np
+
 from joulebox_render.kernels.compilation import device, kernel
 from joulebox_render.kernels.importance import warp_to_cells
-from joulebox_render.kernels.rng import child_key, draw_1d, draw_2d, path_key, sample_2d
+from joulebox_render.kernels.rng import child_key, draw_1d, draw_2d, fill_2d, path_key, sample_2d
 from joulebox_render.kernels.surface import surface_at_hit
 from joulebox_render.kernels.vector import (
     cosine_direction,
@@ -188,13 +190,13 @@ def advance(tables, split, sobol, rays, hits, points, lobes, following):
 
 
 @kernel
-def gather_rays(points, first, last, count, columns, chance, rays):
+def gather_rays(points, first, last, count, columns, chance, u, v, rays):
     """Cosine-distributed rays into the hemisphere over points [first, last), `count` a point.
 
     chance (last - first, cells) f4 of kernels.importance bends the distribution; without rows it has no say. A
     ray's weight is the cosine density over its own, 0 where an interpolated normal sends it below the surface: pi
-    times the mean of weight x incident radiance is the irradiance. owner is the ray's own row. rays is overwritten.
-    Source: Jensen 2001, eq. 8.6.
+    times the mean of weight x incident radiance is the irradiance. owner is the ray's own row. rays is overwritten,
+    as are u, v (N,) f4, what the rays are made of. Source: Jensen 2001, eq. 8.6.
     """
     bent = chance.shape[0] > 0
     row = 0
@@ -203,17 +205,16 @@ def gather_rays(points, first, last, count, columns, chance, rays):
         nx, ny, nz = row3(points.normal, point)
         gx, gy, gz = row3(points.geometric, point)
         key, sample = child_key(points.key[point], GATHER_BRANCH), points.sample[point]
+        onward = child_key(key, 0)
+        fill_2d(key, sample, 1, 1, count, columns, u, v, row)
         for i in range(count):
-            u, v = sample_2d(key, sample, 1, i, count, columns)
-            weight = 1.0
+            a, b, weight = np.float64(u[row]), np.float64(v[row]), 1.0
             if bent:
-                u, v, weight = warp_to_cells(chance, point - first, u, v)
-            dx, dy, dz = cosine_direction(nx, ny, nz, u, v)
+                a, b, weight = warp_to_cells(chance, point - first, a, b)
+            dx, dy, dz = cosine_direction(nx, ny, nz, a, b)
             if dx * gx + dy * gy + dz * gz <= 0.0:
                 weight = 0.0
-            push_ray(
-                rays, row, px, py, pz, dx, dy, dz, weight, weight, weight, row, child_key(key, 0), sample * count + i
-            )  # fmt: skip
+            push_ray(rays, row, px, py, pz, dx, dy, dz, weight, weight, weight, row, onward, sample * count + i)
             row += 1
 
 

@@ -32,9 +32,8 @@ def final_gather(context: Context, light: Illumination, points: Points, count: i
     """Radiance (points, 3) f8 that points reflect of light from other surfaces, by `count` rays each."""
 
     def chunk(first: int, last: int) -> F8:
-        rays = Rays.empty((last - first) * count)
         chance = incoming(context, light, points, first, last)
-        gather_rays(points, first, last, count, context.columns(count), chance, rays)
+        rays = aim_gather(points, first, last, count, context.columns(count), chance)
         incident, _ = incident_radiance(context, light, rays)
         radiance = np.empty((last - first, 3))
         reflect_mean(points, first, last, count, incident, radiance)
@@ -52,6 +51,14 @@ def rays_per_gather(context: Context, gathers: int, count: int) -> int:
     """
     together = gathers * count // (context.pool.threads * context.pool.chunk_rays)
     return max(1, count // max(1, min(MOST_TOGETHER, together)))
+
+
+def aim_gather(points: Points, first: int, last: int, count: int, columns: int, chance: F4) -> Rays:
+    """`count` gather rays from each of points [first, last); see kernels.transport.gather_rays."""
+    rays = Rays.empty((last - first) * count)
+    u, v = np.empty((2, len(rays.owner)), np.float32)
+    gather_rays(points, first, last, count, columns, chance, u, v, rays)
+    return rays
 
 
 def incoming(context: Context, light: Illumination, points: Points, first: int, last: int) -> F4:
@@ -106,8 +113,10 @@ def ask_map(context: Context, light: Illumination, rays: Rays, hits: Hits, stret
     """
     asks = stretch == 0 or context.settings.max_photon_bounces > MOST_SHORT
     last = stretch == MOST_SHORT
-    if asks and not last and light.records is not None:
-        rest = light.answer(context, rays, hits, radiance)
+    unknown: list[Points] = []
+    if asks and not last and light.has_table:
+        near, rest = light.answer(context, rays, hits, radiance)
+        unknown.append(near)
         rays, hits = Rays(*rows(rays, rest)), Hits(*rows(hits, rest))
     reached = follow_to_diffuse(
         context, rays, radiance,
@@ -115,7 +124,6 @@ def ask_map(context: Context, light: Illumination, rays: Rays, hits: Hits, stret
     ).reached  # fmt: skip
     if not asks:
         return join(reached)
-    unknown: list[Points] = []
     for depth, far in enumerate(reached):
         irradiance, unsure = light.look_up(far)
         if not last:

@@ -18,11 +18,10 @@ from joulebox_render.kernels.irradiance import (
     list_cells,
     summarize_gather,
 )
-from joulebox_render.kernels.transport import gather_rays
-from joulebox_render.records import F4, F8, I4, I8, U1, Camera, Points, Rays, rows
+from joulebox_render.records import F4, F8, I4, I8, U1, Camera, Points, rows
 from joulebox_render.stages.context import Context
 from joulebox_render.stages.eye import camera_frame, look
-from joulebox_render.stages.gather import NOT_BENT, final_gather, incident_radiance, rays_per_gather
+from joulebox_render.stages.gather import NOT_BENT, aim_gather, final_gather, incident_radiance, rays_per_gather
 from joulebox_render.stages.paths import join
 from joulebox_render.stages.precomputed import Illumination
 
@@ -59,6 +58,27 @@ class CacheRecords(NamedTuple):
     def empty(cls, count: int) -> CacheRecords:
         """Room for `count` records."""
         return cls(*(np.zeros((count, *shape), np.float32) for shape in ((3,), (3,), (3,), (), (9,), (9,))))
+
+
+class Strata(NamedTuple):
+    """A gather's grid of polar x azimuth strata of a cosine distribution, for its gradients.
+
+    ring (polar, 3) f8: the tangent of the stratum's polar angle; sine x cosine^2 of its inner edge's, times a
+    stratum's width in azimuth; the difference of its edges' sines. spoke (azimuth, 4) f8: cosine and sine of the
+    stratum's azimuth, cosine and sine of its first edge's.
+    """
+
+    ring: F8
+    spoke: F8
+
+    @classmethod
+    def of(cls, polar: int, azimuth: int) -> Strata:
+        """The grid's numbers."""
+        middle, edge = (np.arange(polar) + 0.5) / polar, np.arange(polar + 1) / polar
+        inner = np.sqrt(edge[:-1]) * (1 - edge[:-1]) * (2 * math.pi / azimuth)
+        ring = np.column_stack([np.sqrt(middle / (1 - middle)), inner, np.diff(np.sqrt(edge))])
+        phi, first = (2 * math.pi * (np.arange(azimuth) + shift) / azimuth for shift in (0.5, 0.0))
+        return cls(ring, np.column_stack([np.cos(phi), np.sin(phi), np.cos(first), np.sin(first)]))
 
 
 class CacheGrid(NamedTuple):
@@ -103,19 +123,18 @@ def gather_records(context: Context, camera: Camera, light: Illumination, points
     assert settings.width and settings.height
     polar = max(1, round(math.sqrt(settings.final_gather_rays / math.pi)))
     azimuth = max(3, settings.final_gather_rays // polar)
-    count = polar * azimuth
+    count, strata = polar * azimuth, Strata.of(polar, azimuth)
     frame = camera_frame(camera, settings.width, settings.height)
     pixel = 2.0 * float(np.linalg.norm(frame[1])) / settings.width
     footprint = pixel * np.linalg.norm(points.position - frame[0], axis=1) / settings.irradiance_cache_tolerance
     near, far = (np.asarray(pixels * footprint, np.float32) for pixels in (LEAST_PIXELS, MOST_PIXELS))
 
     def chunk(first: int, last: int) -> CacheRecords:
-        rays = Rays.empty((last - first) * count)
-        gather_rays(points, first, last, count, polar, NOT_BENT, rays)
+        rays = aim_gather(points, first, last, count, polar, NOT_BENT)
         incident, distance = incident_radiance(context, light, rays)
         part = CacheRecords.empty(last - first)
         summarize_gather(
-            points, first, polar, azimuth, settings.irradiance_cache_tolerance, incident, distance,
+            points, first, strata, settings.irradiance_cache_tolerance, incident, distance,
             near[first:last], far[first:last], part, 0,
         )  # fmt: skip
         return part

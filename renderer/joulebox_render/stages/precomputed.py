@@ -14,10 +14,14 @@ import numpy as np
 import numpy.typing as npt
 
 from joulebox_render.kernels.lookup import (
+    ALWAYS,
     CELLS_A_SIDE,
     FEELERS,
+    FROM_AFAR,
     LATTICE,
+    NEVER,
     NO_CELL,
+    OUTSIDE,
     aim_feelers,
     answer_rays,
     look_up_irradiance,
@@ -25,7 +29,7 @@ from joulebox_render.kernels.lookup import (
     nearest_records,
 )
 from joulebox_render.kernels.rng import path_key
-from joulebox_render.records import F4, F8, I4, I8, U1, U8, Estimates, Hits, Points, Rays, Scratch, Tree
+from joulebox_render.records import F4, F8, I4, I8, U1, U8, Estimates, Hits, Points, Rays, Scratch, Tree, rows
 from joulebox_render.stages.context import Context
 from joulebox_render.stages.density import (
     FEW_WITNESSES_STEP,
@@ -45,6 +49,8 @@ RECORD_SHADOW_RAYS = 4
 RECORD_STREAM = 3
 # Cells by which a table reaches beyond the records on every side, and to which it is filled around each at most.
 MARGIN = 16
+# Of the photon map's resolution: no ray longer than this is a short one (kernels.gathering.short_ray).
+SURELY_LONG = 1.5
 # How far above the surface feelers run, in cells: a wall's foot is felt, a curve of the surface is not.
 FEELER_LIFT = 0.05
 
@@ -69,7 +75,8 @@ class IrradianceRecords(NamedTuple):
     """Irradiance computed ahead at some photons' positions: tree, irradiance (R, 3) f4 in its order [W m^-2].
 
     doubtful (R,) u1 marks those with photons behind a wall. reach_m is how far a look-up may go: records of every nth
-    photon lie sqrt(n) times as far apart as photons. table answers nearly all look-ups.
+    photon lie sqrt(n) times as far apart as photons. table answers nearly all look-ups. others is the estimate that the
+    records were made with, of the photons that are none; None where all are.
     """
 
     tree: Tree
@@ -77,6 +84,7 @@ class IrradianceRecords(NamedTuple):
     doubtful: U1
     reach_m: float
     table: IrradianceTable
+    others: DensityEstimate | None = None
 
 
 @dataclass(frozen=True)
@@ -94,14 +102,21 @@ class Illumination:
     def resolution_m(self) -> float:
         return self.estimate.reach_m
 
-    def answer(self, context: Context, rays: Rays, hits: Hits, radiance: F8) -> I4:
-        """Add what rays (N) bring from where the table is sure, to radiance (owners, 3) f8; the rows of all others.
+    @property
+    def has_table(self) -> bool:
+        return self.records is not None and len(self.records.table.key) > 1
 
-        Nearly all rays of a diffuse scene end there: what is known of them need not be written down and read again.
+    def answer(self, context: Context, rays: Rays, hits: Hits, radiance: F8) -> tuple[Points, I4]:
+        """Add what rays (N) bring from where the table may be trusted, to radiance (owners, 3) f8.
+
+        Returns the diffuse points where it may not, and the rows of rays that end at other surfaces.
         """
         assert self.records is not None
-        rest = np.empty(len(rays.owner), np.int32)
-        return rest[: answer_rays(context.tables, self.records.table, self.resolution_m, rays, hits, radiance, rest)]
+        near, rest = Points.empty(len(rays.owner)), np.empty(len(rays.owner), np.int32)
+        near_count, rest_count = answer_rays(
+            context.tables, self.records.table, self.resolution_m, rays, hits, radiance, near, rest
+        )
+        return Points(*rows(near, slice(0, near_count))), rest[:rest_count]
 
     def look_up(self, points: Points) -> tuple[F4, U1]:
         """Irradiance (N, 3) f4 that the records know, or a density estimate where none are kept; and where it cannot
@@ -119,7 +134,26 @@ class Illumination:
             points.position, points.normal, self.records.reach_m, self.estimate.cos_limit, Scratch.empty(1),
             irradiance, unsure,
         )  # fmt: skip
+        if self.records.others is not None:
+            apart = np.flatnonzero((unsure == OUTSIDE) & (points.distance > SURELY_LONG * self.resolution_m))
+            if len(apart):
+                irradiance[apart], unsure[apart] = estimate_apart(self.records.others, Points(*rows(points, apart)))
         return irradiance, unsure
+
+
+def estimate_apart(others: DensityEstimate, points: Points) -> tuple[F4, U1]:
+    """Irradiance (N, 3) f4 at points that lie apart from all records, and whether something hides photons, (N,) u1.
+
+    In dim rooms records are too few for cells to meet. There `others`, who do not know where the records are, are asked
+    at each point: all photons would say too little, for where no record is those of the records are missing.
+    """
+    context, count = others.context, len(points.owner)
+    assert context is not None
+    estimates = others(points.position, points.normal, probe_keys(points))
+    few = np.ascontiguousarray(estimates.witness[:, ::FEW_WITNESSES_STEP])
+    share = share_in_sight(context, others.photons, points.position, points.normal, few)
+    sampled, _ = sample_lights(context, points._replace(albedo=np.full_like(points.albedo, math.pi)), 0, count, 1)
+    return estimates.irradiance + sampled.astype(np.float32), (share < 1).view(np.uint8)
 
 
 def precompute_irradiance(context: Context, photons: PhotonMap) -> IrradianceRecords:
@@ -142,10 +176,10 @@ def precompute_irradiance(context: Context, photons: PhotonMap) -> IrradianceRec
 
     parts = list(context.pool.map_chunks(chunk, len(position), RAYS_PER_ESTIMATE))
     estimates = Estimates(*map(np.concatenate, zip(*parts, strict=True))) if parts else Estimates.empty(0)
-    tree, order = grow_tree(position, normal)
+    tree, order = grow_tree(position, normal, context.pool)
     records = IrradianceRecords(
         tree, np.ascontiguousarray(estimates.irradiance[order]), np.ascontiguousarray(doubtful[order]),
-        estimate.reach_m * math.sqrt(step), empty_table(),
+        estimate.reach_m * math.sqrt(step), empty_table(), estimate if step > 1 else None,
     )  # fmt: skip
     if not len(position):
         return records
@@ -169,7 +203,7 @@ def other_photons(context: Context, photons: PhotonMap, chosen: npt.NDArray[np.b
     if step == 1:
         return estimate
     others = ~chosen
-    tree, order = grow_tree(photons.tree.position[others], photons.tree.normal[others])
+    tree, order = grow_tree(photons.tree.position[others], photons.tree.normal[others], context.pool)
     flux = photons.flux[others][order] * np.float32(step / (step - 1))
     wi, history, rank = (
         np.ascontiguousarray(column[others][order]) for column in (photons.wi, photons.history, photons.rank)
@@ -233,8 +267,10 @@ def tabulate(
             tree, row, place[first:last], facing[first:last], max(lift_m, FEELER_LIFT * edge_m), edge_m,
             origin, direction, limit,
         )  # fmt: skip
-        blocked = context.intersector.occluded(origin, direction, limit).reshape(-1, FEELERS)
-        table.light[slots[first:last], 3] = ~blocked.any(axis=1) & (row >= 0) & (records.doubtful[row] == 0)
+        blocked = context.intersector.occluded(origin, direction, limit).reshape(-1, FEELERS).astype(bool)
+        known = (row >= 0) & (records.doubtful[row] == 0) & ~blocked[:, 0]
+        beside = np.where(blocked[:, 1:].any(axis=1), FROM_AFAR, ALWAYS)
+        table.light[slots[first:last], 3] = np.where(known, beside, NEVER)
 
     list(context.pool.map_chunks(chunk, cells, RAYS_PER_LOOK_UP + FEELERS))
     return table

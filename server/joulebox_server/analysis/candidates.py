@@ -6,6 +6,7 @@ from typing import Any
 
 from joulebox_server.analysis.documents import Axis, Basis, Point, Tradeoff
 from joulebox_server.analysis.intervals import Interval
+from joulebox_server.analysis.pareto import standings
 from joulebox_server.analysis.points import changed_settings, label_of
 from joulebox_server.analysis.scatter import one_sided
 from joulebox_server.analysis.surrogate import Forecast, Surrogate
@@ -87,6 +88,13 @@ def from_forecast(tradeoff: Tradeoff, forecast: Forecast, configuration_id: str 
         bounds(forecast.difference, tradeoff.confidence),
         None,
     )
+
+
+def worth_showing(measured: Sequence[Candidate], predicted: Sequence[Candidate]) -> list[Candidate]:
+    """Of the predictions those that nothing, measured or predicted, is expected to beat in both cost and difference."""
+    every = [*predicted, *measured]
+    found = standings([c.cost for c in every], [c.difference for c in every], [1] * len(every))
+    return [candidate for candidate, standing in zip(predicted, found, strict=False) if standing.on_front]
 
 
 def pictures_agree(one: Candidate, other: Candidate) -> bool:

@@ -13,67 +13,67 @@ import altair as alt
 import vl_convert
 
 from joulebox_server.analysis import layers, palette
+from joulebox_server.analysis.candidates import Candidate
 from joulebox_server.analysis.documents import UNITS, Axis, Point, Tradeoff
 from joulebox_server.analysis.errors import AnalysisError
-from joulebox_server.analysis.frame import Row, ScaleName, XName, YName, frame
+from joulebox_server.analysis.frame import Row, View, frame, values_of, varied
+from joulebox_server.analysis.trace import Trace, trace_layers
 from joulebox_server.analysis.words import figure, quality_suffix, setting
 
 Spec = dict[str, Any]
 
 HEIGHT = 380
+TRACE_HEIGHT = 180
+MOST_BARS = 24
 BAR_STEP = 24
 VEGA_LITE = "6.4"
 UNBOOKED = "other"
 """Time of an image that no stage accounts for."""
 _UNBOOKED_FROM_SHARE = 0.005
 _MIN_WIDTH, _MAX_WIDTH = 200, 4000
+_TOLD_OF_REFERENCE = {"configuration_id", "label", "energy_j", "time_s", "image_sha256", "settings", "quality"}
 
 
-def tradeoff_chart(
-    tradeoff: Tradeoff,
-    x: XName = "energy_j",
-    y: YName = "difference",
-    scale: ScaleName = "auto",
-    budget: float | None = None,
-    colour_by: str | None = None,
-) -> Spec:
+def tradeoff_chart(tradeoff: Tradeoff, view: View = View(), predictions: Sequence[Candidate] = ()) -> Spec:
     """Cost against difference: points with intervals, the front, the limit, the floor, the reference.
 
-    scale       "auto" takes a logarithmic axis where its values span a factor of more than 20
-    budget      in the unit of x [J, s, or J a pixel]; drawn as an upright line
-    colour_by   name of a setting; None takes the axis with the most values that colours can tell apart
+    predictions     settings that were never measured, drawn where they are expected
 
-    Raises AnalysisError for an energy axis where no energy is known, for an unknown colour_by and for a
-    budget that is not above 0.
+    The parameters `limit` and `budget` of the specification are in the units of its axes and may be moved by
+    whoever shows it. Its `usermeta` says what the trade-off is, so that a page needs nothing else to draw itself.
+    Raises AnalysisError as `frame` does.
     """
-    if budget is not None and not 0 < budget < math.inf:
-        raise AnalysisError(f"the budget is {budget}, it must be a number above 0")
-    shown = frame(tradeoff, x, y, scale, budget, colour_by)
+    shown = frame(tradeoff, view, predictions)
     if not shown.points:
-        return _nothing_yet(tradeoff, "no configuration has been both measured and compared")
-    on = layers.axes(shown, x, y, tradeoff)
+        return _nothing_yet(tradeoff, "no configuration has been both measured and compared") | _about(tradeoff)
+    on = layers.axes(shown, view.x, view.y, tradeoff)
     parts = [
         *layers.limit_layers(shown, on),
         *layers.floor_layers(shown, on),
-        *(layers.budget_layers(shown, budget, x, on) if budget is not None else []),
+        *layers.budget_layers(shown, view.x, on),
         layers.front_layer(shown, on),
         *layers.interval_layers(shown, on),
-        layers.point_layer(shown, tradeoff, on),
+        *layers.point_layers(shown, tradeoff, on),
         *(layers.reference_layers(shown.reference, shown, on) if shown.reference else []),
     ]
-    return _finish(alt.layer(*parts).properties(height=HEIGHT), tradeoff, _repeats_told(tradeoff))
+    moved = (alt.param(name=layers.LIMIT, value=shown.limit), alt.param(name=layers.BUDGET, value=view.budget))
+    chart = alt.layer(*parts).add_params(*moved).properties(height=HEIGHT)
+    spec = _finish(chart, tradeoff, _repeats_told(tradeoff)) | _about(tradeoff)
+    return spec | {"datasets": {layers.POINTS: shown.points, layers.PREDICTIONS: shown.predicted}}
 
 
-def stages_chart(tradeoff: Tradeoff, unit: Axis | None = None) -> Spec:
+def stages_chart(tradeoff: Tradeoff, unit: Axis | None = None, chosen: str | None = None) -> Spec:
     """What every stage costs per image: one stacked bar a configuration, cheapest first, reference last.
 
     unit    "energy_j" or "time_s"; None takes energy where every bar's stages have one, else time
+    chosen  a configuration that is shown in any case
 
+    Of more than MOST_BARS configurations those on the front are shown, spread over it where they too are many.
     What no stage accounts for is shown as "other". Raises AnalysisError for energy where a configuration's
     stages have none.
     """
-    bars = [*tradeoff.points, *([tradeoff.reference] if tradeoff.reference else [])]
-    bars = [point for point in bars if point.stages]
+    points = _worth_a_bar([point for point in tradeoff.points if point.stages], tradeoff, chosen)
+    bars = [*points, *([tradeoff.reference] if tradeoff.reference and tradeoff.reference.stages else [])]
     if not bars:
         return _nothing_yet(tradeoff, "no stage has been measured")
     priced = all(s.energy_j is not None for point in bars for s in point.stages.values())
@@ -82,7 +82,25 @@ def stages_chart(tradeoff: Tradeoff, unit: Axis | None = None) -> Spec:
         raise AnalysisError(f"not every stage of {tradeoff.scene} has an energy, the chart must be over time_s")
     names, labels = _bar_labels(tradeoff, bars)
     rows = [row for label, point in zip(labels, bars, strict=True) for row in _stage_rows(label, point, axis)]
-    return _finish(_stage_bars(rows, axis, tradeoff), tradeoff, f"cost per image by stage{names}")
+    left_out = len(tradeoff.points) - len(points)
+    some = f"; {len(points)} of {len(tradeoff.points)}, those on the front" if left_out else ""
+    return _finish(_stage_bars(rows, axis, tradeoff), tradeoff, f"cost per image by stage{names}{some}")
+
+
+def trace_chart(tradeoff: Tradeoff, label: str, trace: Trace) -> Spec:
+    """Power against time while one configuration was measured. Raises AnalysisError without any power."""
+    chart = trace_layers(trace).properties(height=TRACE_HEIGHT)
+    told = f"power{quality_suffix(tradeoff.energy_quality)}; shaded: the windows that count"
+    return _finish(chart, tradeoff, [label, told])
+
+
+def _worth_a_bar(points: Sequence[Point], tradeoff: Tradeoff, chosen: str | None) -> Sequence[Point]:
+    if len(points) <= MOST_BARS:
+        return points
+    axis = tradeoff.main_axis
+    front = [p for p in points if (p.on_front.energy_j if axis == "energy_j" else p.on_front.time_s)]
+    kept = {p.configuration_id for p in front[:: -(-len(front) // MOST_BARS) or 1]} | {chosen}
+    return [p for p in points if p.configuration_id in kept]
 
 
 def render(spec: Spec, file_format: Literal["svg", "png"], width: int = 800) -> bytes:
@@ -103,7 +121,7 @@ def render(spec: Spec, file_format: Literal["svg", "png"], width: int = 800) -> 
     raise AnalysisError(f"the format is {file_format}, it must be svg or png")
 
 
-def finish(chart: Any, title: str, subtitle: str) -> Spec:
+def finish(chart: Any, title: str, subtitle: str | list[str]) -> Spec:
     """The specification, with title, width and the shared configuration."""
     chart = chart.properties(
         width="container",
@@ -115,8 +133,18 @@ def finish(chart: Any, title: str, subtitle: str) -> Spec:
     return spec
 
 
-def _finish(chart: Any, tradeoff: Tradeoff, subtitle: str) -> Spec:
+def _finish(chart: Any, tradeoff: Tradeoff, subtitle: str | list[str]) -> Spec:
     return finish(chart, f"{tradeoff.scene} on {tradeoff.device}", subtitle)
+
+
+def _about(tradeoff: Tradeoff) -> Spec:
+    """What Vega ignores and a page reads: the trade-off without its points, and the values its settings take."""
+    head = tradeoff.model_dump(mode="json", exclude={"points", "reference", "ratings", "shared"})
+    reference = tradeoff.reference
+    head["reference"] = reference and reference.model_dump(mode="json", include=_TOLD_OF_REFERENCE)
+    head["settings"] = {name: [setting(v) for v in values_of(tradeoff, name)] for name in varied(tradeoff)}
+    head["point_count"] = len(tradeoff.points)
+    return {"usermeta": head}
 
 
 def _nothing_yet(tradeoff: Tradeoff, why: str) -> Spec:

@@ -4,12 +4,13 @@ Everything that can be decided before drawing is decided here, so that the chart
 """
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, Literal
 
-from joulebox_server.analysis.documents import Axis, Point, Tradeoff
+from joulebox_server.analysis.candidates import Candidate
+from joulebox_server.analysis.documents import UNITS, Axis, Point, Tradeoff
 from joulebox_server.analysis.errors import AnalysisError
 from joulebox_server.analysis.intervals import Interval
 from joulebox_server.analysis.tradeoff import front_of
@@ -22,6 +23,7 @@ ScaleName = Literal["auto", "linear", "log"]
 LOG_FROM_RATIO = 20.0
 """Largest to smallest value from which on "auto" takes a logarithmic axis."""
 MAX_COLOURS = 8
+PREDICTED = "predicted, not measured"
 
 X_UNITS: dict[XName, str] = {"energy_j": "J", "time_s": "s", "energy_j_per_pixel": "J"}
 SETTING_PREFIX = "setting_"
@@ -49,6 +51,12 @@ class Range:
             return math.log(inside / self.low) / math.log(self.high / self.low)
         return (inside - self.low) / (self.high - self.low)
 
+    def at(self, fraction: float) -> float:
+        """The value at a fraction of the axis."""
+        if self.log:
+            return self.low * math.pow(self.high / self.low, fraction)
+        return self.low + (self.high - self.low) * fraction
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -56,6 +64,7 @@ class Frame:
 
     points: list[Row]
     segments: list[Row]
+    predicted: list[Row]
     reference: Row | None
     x: Range
     y: Range
@@ -64,10 +73,36 @@ class Frame:
     colour_by: str | None
 
 
-def frame(
-    tradeoff: Tradeoff, x: XName, y: YName, scale: ScaleName, budget: float | None, colour_by: str | None
-) -> Frame:
-    """Everything a chart of this trade-off shows. Raises AnalysisError where it has no energy to show."""
+@dataclass(frozen=True)
+class View:
+    """How a trade-off is looked at.
+
+    scale       "auto" takes a logarithmic axis where its values span a factor of more than 20
+    budget      in the unit of x [J, s, or J a pixel]; drawn as an upright line
+    limit       acceptable difference of a whole picture; None takes the sweep's
+    colour_by   name of a setting; None takes the axis with the most values that colours can tell apart
+    only        name of a setting -> its values that are looked at; every other point is drawn pale
+    """
+
+    x: XName = "energy_j"
+    y: YName = "difference"
+    scale: ScaleName = "auto"
+    budget: float | None = None
+    limit: float | None = None
+    colour_by: str | None = None
+    only: Mapping[str, Sequence[str]] = field(default_factory=dict)
+
+
+def frame(tradeoff: Tradeoff, view: View, predictions: Sequence[Candidate] = ()) -> Frame:
+    """Everything a chart of this trade-off shows.
+
+    Raises AnalysisError where it has no energy to show, for a setting that no point has, and for a budget or a
+    limit that is not above 0.
+    """
+    x, y, scale, budget = view.x, view.y, view.scale, view.budget
+    for name, value in (("budget", budget), ("limit", view.limit)):
+        if value is not None and not 0 < value < math.inf:
+            raise AnalysisError(f"the {name} is {value}, it must be a number above 0")
     axis: Axis = "time_s" if x == "time_s" else "energy_j"
     if axis == "energy_j" and tradeoff.energy_quality == "time_only" and tradeoff.points:
         raise AnalysisError(
@@ -76,18 +111,21 @@ def frame(
     area = tradeoff.width * tradeoff.height
     x_factor = 1 / area if x == "energy_j_per_pixel" else 1.0
     y_factor = 1 / area if y == "difference_per_pixel" else 1.0
-    limit = tradeoff.limit * y_factor
+    limit = (view.limit or tradeoff.limit) * y_factor
     floor = tradeoff.noise_floor.value * y_factor if tradeoff.noise_floor else None
-    colour = _colour(tradeoff, colour_by)
+    colour = _colour(tradeoff, view.colour_by)
+    _check_named(tradeoff, view.only)
     names = [*varied(tradeoff), *([colour] if colour else [])]
-    rows = _rows(tradeoff, axis, x_factor, y_factor, names)
+    rows = _rows(tradeoff, axis, x_factor, y_factor, names, view.only)
+    foretold = _predicted_rows(predictions, axis, x_factor, y_factor, names, view.only)
     reference = _reference_row(tradeoff, axis, x_factor)
 
     extra_x = [value for value in (budget, reference["x"] if reference else None) if value is not None]
-    x_range = _range([row["x"] for row in rows] + extra_x, (row["x_high"] for row in rows), scale)
+    drawn = [*rows, *foretold]
+    x_range = _range([row["x"] for row in drawn] + extra_x, (row["x_high"] for row in rows), scale)
     extra_y = [value for value in (limit, floor) if value is not None]
-    y_range = _range([row["y"] for row in rows] + extra_y, (row["y_high"] for row in rows), scale)
-    for row in rows:
+    y_range = _range([row["y"] for row in drawn] + extra_y, (row["y_high"] for row in rows), scale)
+    for row in drawn:
         row.update({name: x_range.clamped(row[name]) for name in ("x", "x_low", "x_high")})
         row.update({name: y_range.clamped(row[name]) for name in ("y", "y_low", "y_high")})
     if reference is not None:
@@ -95,6 +133,7 @@ def frame(
     return Frame(
         points=rows,
         segments=_segments(rows),
+        predicted=foretold,
         reference=reference,
         x=x_range,
         y=y_range,
@@ -122,7 +161,25 @@ def spread(interval: Interval | None, unit: str) -> str:
     return f"{value} ({figure(interval.low)} to {figure(interval.high)})"
 
 
-def _rows(tradeoff: Tradeoff, axis: Axis, x_factor: float, y_factor: float, names: Sequence[str]) -> list[Row]:
+def is_looked_at(settings: Mapping[str, Any], only: Mapping[str, Sequence[str]]) -> bool:
+    """Whether settings are among those that a view is of; values are compared as the page writes them."""
+    return all(setting(settings.get(name)) in values for name, values in only.items())
+
+
+def _check_named(tradeoff: Tradeoff, names: Iterable[str]) -> None:
+    for name in names:
+        if tradeoff.points and not any(name in point.settings for point in tradeoff.points):
+            raise AnalysisError(f"no setting is named {name}, points are chosen by one of the settings")
+
+
+def _rows(
+    tradeoff: Tradeoff,
+    axis: Axis,
+    x_factor: float,
+    y_factor: float,
+    names: Sequence[str],
+    only: Mapping[str, Sequence[str]],
+) -> list[Row]:
     rows = []
     for point, standing in zip(tradeoff.points, front_of(tradeoff.points, axis), strict=True):
         cost, difference = point.cost(axis), point.difference
@@ -133,28 +190,56 @@ def _rows(tradeoff: Tradeoff, axis: Axis, x_factor: float, y_factor: float, name
             front = "on the front" if standing.confirmed else "on the front, not confirmed"
         rows.append(
             _told(point, names)
-            | _coordinates(cost.scaled(x_factor), difference.scaled(y_factor))
+            | _coordinates(cost, difference, x_factor, y_factor)
             | {"standing": front, "on_front": standing.on_front, "confirmed": standing.confirmed}
+            | {"shown": is_looked_at(point.settings, only)}
         )
     return rows
 
 
+def _predicted_rows(
+    predictions: Sequence[Candidate],
+    axis: Axis,
+    x_factor: float,
+    y_factor: float,
+    names: Sequence[str],
+    only: Mapping[str, Sequence[str]],
+) -> list[Row]:
+    """Settings that were never measured, where the surrogate expects them."""
+    word = "energy" if axis == "energy_j" else "time"
+    return [
+        {
+            "label": choice.label,
+            word: f"{spread(choice.cost, UNITS[axis])}, predicted",
+            "difference": f"{spread(choice.difference, '')}, predicted",
+            "standing": PREDICTED,
+            "shown": is_looked_at(choice.settings, only),
+            **{SETTING_PREFIX + name: choice.settings.get(name) for name in names},
+        }
+        | _coordinates(choice.cost, choice.difference, x_factor, y_factor)
+        for choice in predictions
+    ]
+
+
 def _told(point: Point, names: Sequence[str]) -> Row:
     """What a tooltip says of a point."""
-    verdict = {True: "acceptable", False: "beyond the limit", None: "not judged"}[point.acceptable]
     return {
         "configuration_id": point.configuration_id,
         "label": point.label,
         "energy": spread(point.energy_j, "J") + ("" if point.quality == "measured" else f", {point.quality}"),
         "time": spread(point.time_s, "s"),
-        "difference": f"{spread(point.difference, '')}, {verdict}",
+        "difference": spread(point.difference, ""),
+        "energy_j_value": point.energy_j.value if point.energy_j else None,
+        "time_s_value": point.time_s.value,
         "repeats": point.repeats,
+        "fragile": point.fragile,
         **{SETTING_PREFIX + name: point.settings.get(name) for name in names},
     }
 
 
-def _coordinates(x: Interval, y: Interval) -> Row:
-    return {"x": x.value, "x_low": x.low, "x_high": x.high, "y": y.value, "y_low": y.low, "y_high": y.high}
+def _coordinates(x: Interval, y: Interval, x_factor: float, y_factor: float) -> Row:
+    bounds = {name: x_factor * value for name, value in (("x", x.value), ("x_low", x.low), ("x_high", x.high))}
+    return bounds | {name: y_factor * value for name, value in (("y", y.value), ("y_low", y.low), ("y_high", y.high))}
 
 
 def _reference_row(tradeoff: Tradeoff, axis: Axis, x_factor: float) -> Row | None:

@@ -9,6 +9,7 @@ from joulebox_server.analysis import palette
 from joulebox_server.analysis.documents import Tradeoff
 from joulebox_server.analysis.frame import (
     MAX_COLOURS,
+    PREDICTED,
     SETTING_PREFIX,
     X_UNITS,
     Frame,
@@ -22,7 +23,24 @@ from joulebox_server.analysis.frame import (
 from joulebox_server.analysis.words import figure, quality_suffix
 
 _NUMBER = ",~r"
-_FRONT_MARKS = {"on the front": "circle", "on the front, not confirmed": "diamond", "off the front": "cross"}
+_FIGURE = ",.3~r"
+MANY_POINTS = 400
+"""From here on points and intervals are drawn small and thin."""
+
+POINTS, PREDICTIONS = "points", "predictions"
+"""Datasets of a specification."""
+LIMIT, BUDGET = "limit", "budget"
+"""Parameters of a specification, in the units of its axes: whoever shows it can move them."""
+
+FRAGILE = "fragile: a cliff is one step away"
+_MARKS = {
+    "on the front": "circle",
+    "on the front, not confirmed": "diamond",
+    "off the front": "cross",
+    PREDICTED: "square",
+    FRAGILE: "triangle-down",
+}
+"""Shapes, so that nothing hangs on colour."""
 
 
 @dataclass(frozen=True)
@@ -67,8 +85,9 @@ def axes(shown: Frame, x: XName, y: YName, tradeoff: Tradeoff) -> Axes:
 
 
 def limit_layers(shown: Frame, on: Axes) -> list[Any]:
-    """The acceptable area, its edge, and what it is called."""
-    base = data([{"y": shown.limit, "y2": shown.y.low, "text": f"acceptable below {figure(shown.limit)}"}])
+    """The acceptable area, its edge, and what it is called; the parameter `limit` moves them."""
+    words = f"'acceptable below ' + format({LIMIT}, '{_FIGURE}')"
+    base = data([{"y2": shown.y.low}]).transform_calculate(y=LIMIT, text=words)
     return [
         base.mark_rect(color=palette.GREEN, opacity=0.07).encode(y=on.y(), y2="y2:Q"),
         base.mark_rule(color=palette.GREEN, strokeWidth=1.5).encode(y=on.y()),
@@ -85,12 +104,17 @@ def floor_layers(shown: Frame, on: Axes) -> list[Any]:
     return [rule, *_edge_text(base, palette.MUTED, on)]
 
 
-def budget_layers(shown: Frame, budget: float, name: XName, on: Axes) -> list[Any]:
-    """An upright line at the budget, in the unit of the x axis."""
-    text = f"budget {figure(budget)} {X_UNITS[name]}"
-    base = data([{"x": budget, "y": shown.y.high, "text": text}])
-    right = shown.x.fraction(budget) > 0.7
-    placed = {"align": "right" if right else "left", "baseline": "top", "dx": -5 if right else 5, "dy": 2}
+def budget_layers(shown: Frame, name: XName, on: Axes) -> list[Any]:
+    """An upright line at the budget, in the unit of the x axis; the parameter `budget` moves it, null hides it."""
+    words = f"'budget ' + format({BUDGET}, '{_FIGURE}') + ' {X_UNITS[name]}'"
+    base = data([{"y": shown.y.high}]).transform_filter(f"isValid({BUDGET})").transform_calculate(x=BUDGET, text=words)
+    right = f"{BUDGET} > {shown.x.at(0.7)!r}"
+    placed = {
+        "align": alt.ExprRef(f"{right} ? 'right' : 'left'"),
+        "dx": alt.ExprRef(f"{right} ? -5 : 5"),
+        "baseline": "top",
+        "dy": 2,
+    }
     rule = base.mark_rule(color=palette.VERMILION, strokeWidth=1.5, strokeDash=[6, 3])
     return [rule.encode(x=on.x()), *_text(base, palette.VERMILION, placed, x=on.x(), y=on.y(), text="text:N")]
 
@@ -103,28 +127,64 @@ def front_layer(shown: Frame, on: Axes) -> Any:
 
 
 def interval_layers(shown: Frame, on: Axes) -> list[Any]:
-    """The confidence intervals of every point, both ways."""
-    base = data(shown.points).mark_rule(color=palette.MUTED, strokeWidth=1.2, opacity=0.8)
+    """The confidence intervals of every point that is looked at, both ways."""
+    many = len(shown.points) > MANY_POINTS
+    mark = {"color": palette.MUTED, "strokeWidth": 0.6 if many else 1.2}
+    there = alt.condition("datum.shown", alt.value(0.4 if many else 0.8), alt.value(0))
+    base = named(POINTS).mark_rule(**mark).encode(opacity=there)
     return [
         base.encode(x=on.x("x_low"), x2="x_high:Q", y=on.y()),
         base.encode(x=on.x(), y=on.y("y_low"), y2="y_high:Q"),
     ]
 
 
-def point_layer(shown: Frame, tradeoff: Tradeoff, on: Axes) -> Any:
-    """The points: shape by standing, colour by a setting, all settings that vary in the tooltip."""
-    present = {row["standing"] for row in shown.points}
-    domain = [name for name in _FRONT_MARKS if name in present]
-    shape = alt.Shape(
+def point_layers(shown: Frame, tradeoff: Tradeoff, on: Axes) -> list[Any]:
+    """The points: shape by standing, colour by a setting, all settings that vary in the tooltip.
+
+    Beside what was measured: where a cliff is near, a mark above the point; and what is only predicted.
+    """
+    many = len(shown.points) > MANY_POINTS
+    shape, colour = _shape(shown), _colour(shown, tradeoff)
+    there = alt.condition("datum.shown", alt.value(1), alt.value(0.12))
+    edge = {"stroke": "#ffffff", "strokeWidth": 0.4 if many else 0.8}
+    points = (
+        named(POINTS)
+        .transform_calculate(verdict=f"datum.y <= {LIMIT} ? 'acceptable' : 'beyond the limit'")
+        .mark_point(filled=True, size=36 if many else 95, **edge)
+        .encode(x=on.x(), y=on.y(), shape=shape, color=colour, opacity=there, tooltip=_tooltips(tradeoff))
+        .properties(name="points")
+    )
+    parts = [points]
+    if any(row["fragile"] for row in shown.points):
+        mark = (
+            named(POINTS)
+            .transform_filter("isValid(datum.fragile) && datum.shown")
+            .transform_calculate(standing=f"'{FRAGILE}'")
+        )
+        above = {"filled": True, "color": palette.VERMILION, "size": 22 if many else 40, "yOffset": -7 if many else -11}
+        parts.append(mark.mark_point(**above).encode(x=on.x(), y=on.y(), shape=shape, tooltip="fragile:N"))
+    if shown.predicted:
+        hollow = {"filled": False, "size": 70, "strokeWidth": 1.6}
+        told = [tip for tip in _tooltips(tradeoff) if tip.shorthand not in ("repeats:Q", "verdict:N")]
+        parts.append(
+            named(PREDICTIONS)
+            .mark_point(**hollow)
+            .encode(x=on.x(), y=on.y(), shape=shape, color=colour, opacity=there, tooltip=told)
+            .properties(name="predicted")
+        )
+    return parts
+
+
+def _shape(shown: Frame) -> Any:
+    present = {row["standing"] for row in (*shown.points, *shown.predicted)}
+    if any(row["fragile"] for row in shown.points):
+        present.add(FRAGILE)
+    domain = [name for name in _MARKS if name in present]
+    return alt.Shape(
         "standing:N",
         title="Pareto front",
-        scale=alt.Scale(domain=domain, range=[_FRONT_MARKS[name] for name in domain]),
-        legend=alt.Legend(symbolFillColor=palette.MUTED, symbolStrokeColor="#ffffff", columns=2),
-    )
-    points = data(shown.points).mark_point(filled=True, size=95, opacity=1, stroke="#ffffff", strokeWidth=0.8)
-    colour = _colour(shown, tradeoff)
-    return points.encode(x=on.x(), y=on.y(), shape=shape, color=colour, tooltip=_tooltips(tradeoff)).properties(
-        name="points"
+        scale=alt.Scale(domain=domain, range=[_MARKS[name] for name in domain]),
+        legend=alt.Legend(symbolFillColor=palette.MUTED, symbolStrokeColor=palette.MUTED, columns=2),
     )
 
 
@@ -144,6 +204,11 @@ def reference_layers(reference: Row, shown: Frame, on: Axes) -> list[Any]:
 def data(rows: list[Row]) -> Any:
     """A chart of inline rows."""
     return alt.Chart(alt.Data(values=rows))  # type: ignore[no-untyped-call]
+
+
+def named(name: str) -> Any:
+    """A chart of rows that the specification lists once under `datasets`: they may be thousands."""
+    return alt.Chart(alt.NamedData(name))
 
 
 def _scale(span: Range) -> Any:
@@ -182,5 +247,5 @@ def _colour(shown: Frame, tradeoff: Tradeoff) -> Any:
 
 def _tooltips(tradeoff: Tradeoff) -> list[Any]:
     told = [alt.Tooltip(f"{SETTING_PREFIX}{name}:N", title=name) for name in varied(tradeoff)]
-    told += [alt.Tooltip(f"{name}:N", title=name) for name in ("difference", "energy", "time")]
+    told += [alt.Tooltip(f"{name}:N", title=name) for name in ("difference", "verdict", "energy", "time")]
     return [*told, alt.Tooltip("standing:N", title="front"), alt.Tooltip("repeats:Q", title="repeats")]

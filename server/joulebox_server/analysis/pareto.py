@@ -3,6 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from joulebox_server.analysis.intervals import Interval
 
 
@@ -25,35 +28,41 @@ def standings(
     best taken for the point and the worst for the other. A point that lacks a coordinate is on no front
     and not confirmed, nor is one of a single repeat, of whose scatter nothing is known.
     """
-    pairs = [(c, d) if c is not None and d is not None else None for c, d in zip(costs, differences, strict=True)]
-    return [_standing(index, pairs, repeats) for index in range(len(pairs))]
+    known = [(c, d) if c is not None and d is not None else None for c, d in zip(costs, differences, strict=True)]
+    counts = [count for count, pair in zip(repeats, known, strict=True) if pair is not None]
+    others = _Others.of([pair for pair in known if pair is not None], counts)
+    places = iter(range(len(repeats)))
+    return [_NOWHERE if pair is None else others.standing(next(places)) for pair in known]
 
 
-def _standing(index: int, pairs: Sequence[tuple[Interval, Interval] | None], repeats: Sequence[int]) -> Standing:
-    here = pairs[index]
-    if here is None:
-        return Standing(on_front=False, confirmed=False)
-    others = [pair for place, pair in enumerate(pairs) if pair is not None and place != index]
-    # only others that were repeated can prove a point dominated
-    proven = [pair for place, pair in enumerate(pairs) if pair and place != index and repeats[place] > 1]
-    dominated = any(_dominates(other, here) for other in others)
-    if repeats[index] < 2:
-        holds = False
-    elif dominated:
-        holds = any(_surely_dominates(other, here) for other in proven)
-    else:
-        holds = not any(_may_dominate(other, here) for other in others)
-    return Standing(on_front=not dominated, confirmed=holds)
+_NOWHERE = Standing(on_front=False, confirmed=False)
+_Bounds = NDArray[np.float64]
 
 
-def _dominates(other: tuple[Interval, Interval], here: tuple[Interval, Interval]) -> bool:
-    no_worse = all(o.value <= h.value for o, h in zip(other, here, strict=True))
-    return no_worse and any(o.value < h.value for o, h in zip(other, here, strict=True))
+@dataclass(frozen=True)
+class _Others:
+    """All points as arrays (2, N), cost above difference; and which of them were repeated."""
 
+    value: _Bounds
+    low: _Bounds
+    high: _Bounds
+    repeated: NDArray[np.bool_]
 
-def _surely_dominates(other: tuple[Interval, Interval], here: tuple[Interval, Interval]) -> bool:
-    return all(o.high < h.low for o, h in zip(other, here, strict=True))
+    @classmethod
+    def of(cls, pairs: Sequence[tuple[Interval, Interval]], repeats: Sequence[int]) -> "_Others":
+        value, low, high = (
+            np.array([[getattr(interval, bound) for interval in pair] for pair in pairs]).reshape(-1, 2).T
+            for bound in ("value", "low", "high")
+        )
+        return cls(value, low, high, np.array(repeats) > 1)
 
-
-def _may_dominate(other: tuple[Interval, Interval], here: tuple[Interval, Interval]) -> bool:
-    return all(o.low <= h.high for o, h in zip(other, here, strict=True))
+    def standing(self, place: int) -> Standing:
+        value, low, high = (bound[:, place, None] for bound in (self.value, self.low, self.high))
+        dominated = bool(((self.value <= value).all(axis=0) & (self.value < value).any(axis=0)).any())
+        if not self.repeated[place]:
+            return Standing(on_front=not dominated, confirmed=False)
+        if dominated:
+            # only others that were repeated can prove a point dominated; none surely dominates itself
+            return Standing(on_front=False, confirmed=bool(((self.high < low).all(axis=0) & self.repeated).any()))
+        may_dominate = int((self.low <= high).all(axis=0).sum())  # the point itself among them
+        return Standing(on_front=True, confirmed=may_dominate == 1)

@@ -2,9 +2,8 @@
 
 from collections.abc import Sequence
 
-from joulebox_server.analysis import charts
+from joulebox_server.analysis import charts, frame
 from joulebox_server.analysis.documents import Choice, Point, Rating, Recommendation, Step, Tradeoff
-from joulebox_server.analysis.frame import spread
 from joulebox_server.analysis.words import figure, setting, share
 from joulebox_server.reports.document import Block, Chart, Facts, Fold, Picture, Pictures, Points, Section, Table, Words
 from joulebox_server.reports.gathering import Compared, View
@@ -98,7 +97,7 @@ def _tradeoff_chart(tradeoff: Tradeoff, name: str) -> Block:
         f"Trade-off chart of {tradeoff.scene} on {tradeoff.device}: {len(compared)} configurations, "
         f"{within} within the limit {figure(tradeoff.limit)}, {len(front)} on the front."
     )
-    return Chart(f"{name}-tradeoff", charts.tradeoff_chart(tradeoff, x=tradeoff.main_axis), caption, alt)
+    return Chart(f"{name}-tradeoff", charts.tradeoff_chart(tradeoff, frame.View(x=tradeoff.main_axis)), caption, alt)
 
 
 def _stages_chart(tradeoff: Tradeoff, name: str) -> Block:
@@ -130,10 +129,10 @@ def _answer(view: View, told_in: str) -> list[Block]:
         return [*none, Words("Nearest to it:"), Points(nearest)] if nearest else none
     rows = [("Settings", found.label or "")]
     if found.energy_j is not None:
-        rows.append(("Energy an image", _with_quality(spread(found.energy_j, "J"), found)))
+        rows.append(("Energy an image", _with_quality(frame.spread(found.energy_j, "J"), found)))
     if found.time_s is not None:
-        rows.append(("Time an image", spread(found.time_s, "s")))
-    rows.append(("Difference", f"{spread(found.difference, '')}, limit {figure(found.limit)}"))
+        rows.append(("Time an image", frame.spread(found.time_s, "s")))
+    rows.append(("Difference", f"{frame.spread(found.difference, '')}, limit {figure(found.limit)}"))
     if found.saves_share is not None:
         rows.append(("Saves", f"{share(found.saves_share)} of what the reference costs"))
     rows.append(("Basis", "measured runs" if found.basis == "measured" else "predicted: never measured"))
@@ -159,8 +158,8 @@ def _asked(found: Recommendation) -> str:
 
 def _cost(found: Recommendation) -> str:
     if found.energy_quality == "time_only" or found.energy_j is None:
-        return spread(found.time_s, "s")
-    return _with_quality(spread(found.energy_j, "J"), found)
+        return frame.spread(found.time_s, "s")
+    return _with_quality(frame.spread(found.energy_j, "J"), found)
 
 
 def _with_quality(told: str, found: Recommendation) -> str:
@@ -168,8 +167,8 @@ def _with_quality(told: str, found: Recommendation) -> str:
 
 
 def _choice_told(choice: Choice) -> str:
-    cost = spread(choice.energy_j, "J") if choice.energy_j else spread(choice.time_s, "s")
-    return f"{choice.label}, {cost}, difference {spread(choice.difference, '')}"
+    cost = frame.spread(choice.energy_j, "J") if choice.energy_j else frame.spread(choice.time_s, "s")
+    return f"{choice.label}, {cost}, difference {frame.spread(choice.difference, '')}"
 
 
 def _ratings(tradeoff: Tradeoff) -> list[Block]:
@@ -225,7 +224,7 @@ def _pictures(view: View, name: str) -> list[Block]:
 
 def _of_role(role: str, compared: Compared, tradeoff: Tradeoff, name: str) -> list[Picture]:
     point, pictures = compared.point, []
-    told = f"{point.label}, difference {spread(point.difference, '')}, {cost_told(point, tradeoff)}"
+    told = f"{point.label}, difference {frame.spread(point.difference, '')}, {cost_told(point, tradeoff)}"
     if compared.picture is not None:
         alt = f"{tradeoff.scene} with {point.label}"
         pictures.append(Picture(f"{name}-{role}", compared.picture, f"{ROLES[role]}: {told}", alt))
@@ -241,8 +240,8 @@ def _points_table(tradeoff: Tradeoff, csv_name: str) -> Block:
         (
             point.label,
             energy_told(point),
-            spread(point.time_s, "s"),
-            spread(point.difference, ""),
+            frame.spread(point.time_s, "s"),
+            frame.spread(point.difference, ""),
             {True: "yes", False: "no", None: "unknown"}[point.acceptable],
             _standing(point, tradeoff),
             "yes" if point.fragile else "",

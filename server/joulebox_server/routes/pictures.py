@@ -3,6 +3,7 @@
 import asyncio
 from typing import Annotated, Any
 
+import numpy as np
 from fastapi import APIRouter, Query, Response
 from fastapi.responses import FileResponse
 from sqlite_utils import Database
@@ -85,3 +86,21 @@ def image(
     except ServerError as error:
         raise InvalidError(str(error).replace(str(path), f"the blob {sha256}")) from None
     return Response(tonemap_png(picture, exposure, width), media_type="image/png", headers=headers)
+
+
+@router.get(
+    "/images/{sha256}.pfm",
+    response_class=Response,
+    responses={200: {"content": {"image/x-portable-floatmap": {}}, "description": "The picture."}, **told(404)},
+)
+def linear_image(services: ServicesOf, _: Viewer, sha256: ShaPath) -> Response:
+    """A stored picture as the numbers it holds: linear RGB as a portable float map, little-endian, last row first."""
+    path = services.store.read(blobs.find, services.store.blob_dir, sha256)
+    try:
+        picture = read_picture(path)
+    except ServerError as error:
+        raise InvalidError(str(error).replace(str(path), f"the blob {sha256}")) from None
+    height, width = picture.shape[:2]
+    content = f"PF\n{width} {height}\n-1.0\n".encode() + np.ascontiguousarray(picture[::-1], "<f4").tobytes()
+    headers = {"Cache-Control": FOREVER, "X-Content-Type-Options": "nosniff"}
+    return Response(content, media_type="image/x-portable-floatmap", headers=headers)

@@ -1,12 +1,33 @@
 """What every document has in common."""
 
+import re
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, WithJsonSchema
 
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
-Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f/\\]+$")]
-"""A name for people: no control characters, no slashes."""
+# Controls, invisible spaces and what turns the direction of writing; not the joiners that scripts and emoji need.
+UNSEEN = r"\x00-\x1f\x7f-\x9f\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ud800-\udfff"
+NAME = rf"^[^{UNSEEN}/\\\s]([^{UNSEEN}/\\]*[^{UNSEEN}/\\\s])?$"
+
+
+def _seen(name: str) -> str:
+    found = re.search(f"[{UNSEEN}/\\\\]", name)
+    if found is not None:
+        what = repr(found[0]) if found[0] in "/\\" else f"U+{ord(found[0]):04X}, which cannot be seen"
+        raise ValueError(f"a name may not hold {what}")
+    if name.strip() != name or not name:
+        raise ValueError("a name may not be empty, nor begin or end with a space")
+    return name
+
+
+Name = Annotated[
+    str,
+    Field(min_length=1, max_length=100),
+    AfterValidator(_seen),
+    WithJsonSchema({"type": "string", "minLength": 1, "maxLength": 100, "pattern": NAME}),
+]
+"""A name for people: what they see is what it is, and no slash in it."""
 Scalar = bool | int | float | str | None
 """A value of a setting."""
 

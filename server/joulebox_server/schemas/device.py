@@ -38,8 +38,8 @@ class HealthRequest(Document):
 class EnergyMethod(Document):
     method: str = Field(min_length=1, max_length=50)
     available: bool
-    scope: str | None = None
-    reason: str | None = None
+    scope: str | None = Field(default=None, max_length=2000)
+    reason: str | None = Field(default=None, max_length=2000)
 
 
 class RendererInfo(Document):
@@ -51,13 +51,13 @@ class RendererInfo(Document):
 class Capabilities(Document):
     """What a device is and can do, told by its agent at each start."""
 
-    platform: str
-    machine: str
-    os: str
+    platform: str = Field(max_length=500)
+    machine: str = Field(max_length=100)
+    os: str = Field(max_length=100)
     cores: int = Field(ge=1)
-    isa: str | None = None
-    agent_version: str
-    energy_methods: list[EnergyMethod] = Field(default_factory=list)
+    isa: str | None = Field(default=None, max_length=100)
+    agent_version: str = Field(max_length=100)
+    energy_methods: list[EnergyMethod] = Field(default_factory=list, max_length=100)
     renderer: RendererInfo | None = None
 
 

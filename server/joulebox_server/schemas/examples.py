@@ -236,4 +236,37 @@ EXAMPLES: Final[dict[str, Any]] = {
     "Confirmed": {"queued_jobs": 9, "proposals": [{"label": "gather_count=50", "basis": "predicted"}]},
     "Alive": {"status": "ok", "version": "0.1.0"},
     "Ready": {"status": "ok", "free_bytes": 71_000_000_000},
+    "FleetPage": _page(
+        {
+            "device": "laptop",
+            "result_at": _AT,
+            "battery": {"charge_share": 0.71, "full_j": 172_800.0, "on_mains": False},
+            "meter": {
+                "method": "battery_gauge",
+                "scope": "whole machine",
+                "quality": "measured",
+                "refresh_s": 1.02,
+                "half_width_share": 0.021,
+            },
+            "control": {
+                "sweep_id": _ID,
+                "scene": "cornell-boxes",
+                "time_ratio": 1.02,
+                "energy_ratio": 1.01,
+                "at": _AT,
+            },
+        }
+    ),
+    "Progress": {
+        "sweep_id": _ID,
+        "state": "running",
+        "started_at": _AT,
+        "last_result_at": _AT,
+        "remaining_s": {"value": 5400.0, "low": 4900.0, "high": 5900.0},
+        "reason": None,
+    },
+    "ReadSweep": {
+        "definition": _DEFINITION,
+        "notes": ["../scenes/cornell-boxes is taken to be the scene cornell-boxes that this server has"],
+    },
 }

@@ -12,10 +12,14 @@ from joulebox_server.schemas.sweep import Range, SweepDefinition
 
 PRESET = "preset"
 DEFINITIONS = ("$defs", "definitions")
+LARGEST_SCHEMA = 5000
+"""Values in a schema; ours holds some hundreds, and to check one takes 0.2 ms a value."""
 
 
 def schema_fault(schema: Mapping[str, Any]) -> str | None:
     """What makes `schema` no JSON Schema of an object with properties, or None."""
+    if _holds_more(schema, LARGEST_SCHEMA):
+        return f"it holds more than {LARGEST_SCHEMA} values"
     try:
         Draft202012Validator.check_schema(schema)
     except SchemaError as error:
@@ -25,6 +29,18 @@ def schema_fault(schema: Mapping[str, Any]) -> str | None:
     known = {f"#/{key}/{name}" for key in DEFINITIONS for name in schema.get(key, {})}
     lost = next((reference for reference in _references(schema) if reference not in known), None)
     return None if lost is None else f"its reference {lost!r} leads to none of its definitions"
+
+
+def _holds_more(document: Any, most: int) -> bool:
+    waiting, count = [document], 0
+    while waiting and count <= most:
+        part = waiting.pop()
+        count += 1
+        if isinstance(part, dict):
+            waiting += part.values()
+        elif isinstance(part, list):
+            waiting += part
+    return count > most
 
 
 def _references(part: Any) -> Iterator[Any]:

@@ -179,8 +179,8 @@ def _combined_lines(results: Results) -> quantities.Series:
 
 
 def _threads(results: Results) -> Spec | None:
-    rows = [figures.value(n, point.cost, f"cost [{results.unit}]") for n, point in threaded(results)]
-    rows += [figures.value(n, wall_time(point), "time [s]") for n, point in threaded(results)]
+    rows = [figures.value(str(n), point.cost, f"cost [{results.unit}]") for n, point in threaded(results)]
+    rows += [figures.value(str(n), wall_time(point), "time [s]") for n, point in threaded(results)]
     return figures.lines(rows, "threads", f"of an image [{results.unit}; s]")
 
 

@@ -77,7 +77,6 @@ def clouds(
     told = [alt.Tooltip(f"{name}:N") for name in ("name", "kind", "cost", "difference")]
     base = data(means)
     at = {"x": alt.X("x:Q", scale=on, axis=x_axis), "y": alt.Y("y:Q", scale=on, axis=y_axis)}
-    placed = {"align": "left", "dx": 8, "dy": -6, "fontSize": 10}
     chart = alt.layer(
         data([{"y": limit}])
         .mark_rule(color=palette.GREEN, strokeDash=[5, 3], strokeWidth=1.5)
@@ -90,9 +89,14 @@ def clouds(
             x=at["x"], y=alt.Y("y_low:Q", scale=on, axis=y_axis), y2="y_high:Q", color=colour
         ),
         base.mark_point(filled=True, size=70, opacity=1, stroke="#ffffff").encode(**at, color=colour, tooltip=told),
-        base.mark_text(color=palette.INK, **placed).encode(**at, text="name:N"),
+        *(_names(means[place::2], at, dy) for place, dy in enumerate((-7, 11))),
     )
     return finished(chart.properties(height=CLOUD_HEIGHT))
+
+
+def _names(means: list[dict[str, Any]], at: dict[str, Any], dy: int) -> Any:
+    """Names beside means, every other one lower: regimes that come out alike would hide each other's."""
+    return data(means).mark_text(color=palette.INK, align="left", dx=8, dy=dy, fontSize=10).encode(**at, text="name:N")
 
 
 def _mean_row(name: str, values: Sequence[float]) -> dict[str, Any]:

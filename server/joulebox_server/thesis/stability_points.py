@@ -20,6 +20,7 @@ EXPONENTS = (-4, 4)
 DIRECT_VISUALISATION: dict[str, Any] = {"indirect": "direct_visualization", "global_photons": 100_000}
 GOOD: dict[str, Any] = {
     "indirect": "final_gather",
+    "samples_per_pixel": 4,
     "global_photons": 200_000,
     "final_gather_rays": 256,
     "irradiance_cache_tolerance": 0.0,
@@ -67,7 +68,7 @@ def _fg(name: str, words: str, scene: str, defines: Mapping[str, str] | None = N
 REGIMES: tuple[Regime, ...] = (
     _dv("few-photons", "5,000 photons", "cornell-boxes", global_photons=5_000),
     _dv("small-radius", "a gather distance of 0.004 m", "cornell-boxes", gather_distance_m=0.004),
-    _dv("large-radius", "a gather distance of 0.2 m", "cornell-boxes", gather_distance_m=0.2, gather_count=4_000),
+    _dv("large-radius", "a gather distance of 0.2 m", "cornell-boxes", gather_distance_m=0.2, gather_count=1_000),
     _fg("high-tolerance", "a tolerance of 4", "cornell-boxes", irradiance_cache_tolerance=4.0),
     _fg("few-rays", "16 gather rays", "cornell-boxes", final_gather_rays=16),
     Regime("few-paths", "4 paths a pixel", "path tracing", "cornell-boxes",
@@ -86,7 +87,7 @@ REGIMES: tuple[Regime, ...] = (
 
 LINES: Mapping[str, tuple[Mapping[str, Any], tuple[Any, ...]]] = {
     "global_photons": (DIRECT_VISUALISATION, (1_000, 5_000, 25_000, 100_000)),
-    "gather_distance_m": (DIRECT_VISUALISATION | {"gather_count": 4_000}, (0.002, 0.004, 0.01, 0.02, 0.05, 0.2)),
+    "gather_distance_m": (DIRECT_VISUALISATION | {"gather_count": 1_000}, (0.002, 0.004, 0.01, 0.02, 0.05, 0.2)),
     "irradiance_cache_tolerance": ({}, (0.2, 0.8, 1.6, 4.0)),
     "final_gather_rays": ({}, (4, 16, 64, 256)),
     "samples_per_pixel": ({"indirect": "path"}, (1, 4, 16, 64)),
