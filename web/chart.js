@@ -23,7 +23,8 @@ function inPageColours({ datasets, usermeta, ...spec }) {
     const name = value === "#ffffff" && !halo ? null : PAPER_COLOURS[value];
     return name ? style.getPropertyValue(name).trim() : value;
   }));
-  const config = { ...recoloured.config, background: "transparent", font: getComputedStyle(document.body).fontFamily };
+  // A chart is one picture with one description; its table is what a screen reader goes through, not its marks.
+  const config = { ...recoloured.config, aria: false, background: "transparent", font: getComputedStyle(document.body).fontFamily };
   const screen = document.documentElement.clientWidth;
   if (screen < 600) {
     config.legend = { ...config.legend, columns: 2, labelLimit: 190, labelFontSize: 11, layout: { bottom: { direction: "vertical" } } };
@@ -96,6 +97,7 @@ export function chartIn(box, { onPick, onDrawn, lines = [] } = {}) {
     show,
     mark(point) { marked = point; place(); },
     say(...nodes) { latest += 1; drawn = null; view?.finalize(); view = null; fill(box, ...nodes); },
+    drawn: () => Boolean(view),
     set(name, value) { view?.signal(name, value).runAsync(); },
     pixel: (axis, value) => axisPixel(view, axis, value),
     value: (axis, pixel) => axisValue(view, axis, pixel),

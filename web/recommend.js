@@ -157,9 +157,11 @@ function takeAlong({ scene, settings }) {
 }
 
 // Queues what promises more but was not measured, or not closely enough, so that the answer can rest on it.
+const queued = { for: null, said: el("div", { role: "status" }) }; // outlives the live updates that follow
 function confirmation(path, question, { proposals }) {
-  if (!proposals.length) return null;
-  const said = el("div", { role: "status" });
+  if (queued.for !== question) { queued.for = question; fill(queued.said); }
+  const { said } = queued;
+  if (!proposals.length) return said;
   const queue = async () => {
     try {
       const { queued_jobs: jobs } = await send("POST", `${path}:confirm${question}`, { count: proposals.length });

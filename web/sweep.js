@@ -62,12 +62,14 @@ export async function showSweepView(given) {
   const wanted = JSON.stringify(["sweep", "scene", "device", "x", "y", "scale", "colour", "only", "predicted"].map((key) => view[key]));
   if (loaded.sweep?.id !== view.sweep) fill(at("overview"), quiet("Loading the sweep …"));
   if (stale || loaded.for !== wanted || !fits()) {
-    const turn = loads + 1;
+    if (stale || underWay.wanted !== wanted || loaded.for === wanted) begin(wanted);
+    const { done, signal } = underWay;
     try {
-      await load(wanted);
+      await done;
     } catch (error) {
-      if (turn !== loads) return undefined;
+      if (signal.aborted) return undefined;
       loaded.for = null;
+      underWay = {};
       if (error.code === "not_answerable" && view.x) return context.change({ x: null, only: null, colour: null });
       at("sweep").hidden = true;
       fill(at("overview"), problem(error, () => showSweepView(context)));
@@ -79,9 +81,10 @@ export async function showSweepView(given) {
 
 // Whether limit and budget lie on the axes as drawn: else the chart is asked for anew, with room for them.
 function fits() {
-  if (!loaded.head || loaded.sweep.id !== context.view.sweep) return false;
-  const on = (name, value, key) => value === null || chart.pixel(name, value) !== null || drawnFor[key] === value || !loaded.rows.length;
-  return on("y", limit(), "limit") && on("x", budget(), "budget");
+  if (!chart.drawn() || !loaded.rows.length) return true;
+  const cost = budget();
+  return (chart.pixel("y", limit()) !== null || drawnFor.limit === context.view.limit)
+    && (cost === null || chart.pixel("x", cost) !== null || drawnFor.budget === cost);
 }
 
 const chartPath = (name, kind, parameters) => {
@@ -95,22 +98,27 @@ function tradeoffPath(kind, lines) {
   return readOnly(only).reduce((so, chosen) => `${so}${so.includes("?") ? "&" : "?"}only=${encodeURIComponent(chosen)}`, path);
 }
 
-let loads = 0;
-async function load(wanted) {
-  const { view } = context;
-  const turn = ++loads;
+let underWay = {}; // the load that a newer one makes pointless
+function begin(wanted) {
+  underWay.controller?.abort();
+  const controller = new AbortController();
   stale = false;
+  underWay = { wanted, controller, signal: controller.signal, done: load(wanted, controller.signal) };
+}
+
+async function load(wanted, signal) {
+  const { view } = context;
   const path = `/v1/sweeps/${encodeURIComponent(view.sweep)}`;
   const lines = loaded.head && loaded.sweep.id === view.sweep ? { limit: view.limit, budget: budget() } : { limit: view.limit };
-  const [sweep, text] = await Promise.all([getJson(path), getText(tradeoffPath("vl.json", lines))]);
+  const [sweep, text] = await Promise.all([getJson(path, { signal }), getText(tradeoffPath("vl.json", lines), { signal })]);
   const running = ["running", "paused"].includes(sweep.state);
   const [failed, progress] = await Promise.all([
     sweep.jobs.failed ? getItems(`${path}/jobs`).then((jobs) => jobs.filter((job) => job.state === "failed")) : [],
     running ? getJson(`${path}/progress`).catch(() => null) : null,
   ]);
-  if (turn !== loads) return; // somebody went on meanwhile; a newer load shows where to
+  if (signal.aborted) return; // somebody went on meanwhile; a newer load shows where to
   const { usermeta: head, datasets } = text === loaded.text ? { usermeta: loaded.head, datasets: { points: loaded.rows } } : JSON.parse(text);
-  drawnFor = { limit: lines.limit ? Number(lines.limit) : null, budget: lines.budget ?? null };
+  drawnFor = lines;
   Object.assign(loaded, { for: wanted, sweep, head, text, failed, progress, rows: datasets?.points ?? [], predicted: datasets?.predictions ?? [] });
 }
 
@@ -178,7 +186,7 @@ function showCharts(row) {
   }
   chart.mark(row);
   const cost = axis() === "time_s" ? "time" : quality(head.energy_quality).label;
-  chart.show(text, `Difference against ${cost} of ${told(rows, limit())}`).then(placeLines);
+  chart.show(text, `Difference against ${cost} of ${told(rows, limit())}`).then(() => { if (!fits()) showSweepView(context); });
   draw(stagesChart, chartPath("stages", "vl.json", { point: context.view.point }), `Cost of each rendering stage, a bar for each of ${Math.min(rows.length, 24)} settings or fewer, cheapest first, and the reference`);
   const kinds = { svg: "SVG", png: "PNG", "vl.json": "Vega-Lite" };
   fill(at("downloads"), "Take the chart with you: ", Object.entries(kinds).map(([kind, words]) => [button(words, `save-${kind}`,

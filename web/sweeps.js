@@ -34,7 +34,7 @@ export function showSweeps(box, { view, known, chooseSweep }) {
   }
   fill(box, el("ul", { class: "list" }, known.sweeps.map((sweep) => el("li", {},
     el("button", {
-      type: "button", class: "pick", "data-key": `sweep-${sweep.id}`, "aria-current": sweep.id === view.sweep ? "true" : null,
+      type: "button", class: "pick", "data-key": `sweep-${sweep.id}`, "aria-current": [sweep.id, sweep.name].includes(view.sweep) ? "true" : null,
       onclick: () => chooseSweep(sweep.id),
     },
     el("span", { class: "name" }, sweep.name), chip(sweep.state, sweep.state),

@@ -15,6 +15,8 @@ T = TypeVar("T")
 
 # Rays in flight per chunk: their arrays (about 60 bytes a ray) stay within a core's second-level cache.
 CHUNK_RAYS = 16_384
+# Work of less than this part of a chunk is not worth sharing among threads.
+SMALLEST_SHARE = 4
 
 
 def usable_cores() -> int:
@@ -36,11 +38,11 @@ class WorkerPool:
         self._executor = ThreadPoolExecutor(self.threads, thread_name_prefix="render")
 
     def map_chunks(self, work: Callable[[int, int], T], count: int, rays_per_item: int) -> Iterator[T]:
-        """work(first, last) over [0, count) in chunks of about `chunk_rays` rays; yields results in order.
+        """work(first, last) over [0, count) in even chunks of at most about `chunk_rays` rays; yields results in order.
 
         Raises StoppedError, in place of the next chunk's result, after `stop`.
         """
-        step = max(1, self.chunk_rays // max(1, rays_per_item))
+        step = self._even_step(count, max(1, self.chunk_rays // max(1, rays_per_item)))
         ranges = [(first, min(first + step, count)) for first in range(0, count, step)]
 
         def guarded(span: tuple[int, int]) -> T:
@@ -49,6 +51,13 @@ class WorkerPool:
             return work(*span)
 
         return self._executor.map(guarded, ranges)
+
+    def _even_step(self, count: int, step: int) -> int:
+        """A step of at most `step` that leaves no thread waiting while others work on a last chunk."""
+        chunks = -(-count // step)
+        if count > step // SMALLEST_SHARE:
+            chunks = -(-chunks // self.threads) * self.threads
+        return max(1, -(-count // max(1, chunks)))
 
     def stop(self) -> None:
         """Give up all work from the next chunk on; may be called by a signal handler."""

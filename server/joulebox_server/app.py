@@ -96,7 +96,8 @@ async def _running(
     services = Services(settings, store, bell, comparer, clock, registry)
     collector = StoreCollector(store)
     registry.register(collector)
-    tasks = [asyncio.create_task(comparer.run()), asyncio.create_task(_keep_house(services))]
+    work = (comparer.run(), services.feed.run(), _keep_house(services))
+    tasks = [asyncio.create_task(each) for each in work]
     try:
         yield services
     finally:

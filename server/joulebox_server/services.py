@@ -12,6 +12,7 @@ from sqlite_utils import Database
 
 from joulebox_server.comparing import Comparer
 from joulebox_server.errors import ForbiddenError, UnauthenticatedError
+from joulebox_server.feed import Feed
 from joulebox_server.limits import FailureLimit
 from joulebox_server.settings import ServerSettings, is_loopback
 from joulebox_server.store import Store, tokens
@@ -35,6 +36,9 @@ class Services:
     """Microseconds since 1970; leases are judged by it."""
     registry: CollectorRegistry = field(default_factory=CollectorRegistry)
     enrolling: FailureLimit = field(default_factory=FailureLimit)
+
+    def __post_init__(self) -> None:
+        self.feed = Feed(self.read, self.bell)
 
     @property
     def lease_rules(self) -> LeaseRules:

@@ -76,3 +76,9 @@ def test_a_bad_trace_names_its_row(text: str, words: str) -> None:
 def test_a_bad_source_is_wrong_use(name: str) -> None:
     with pytest.raises(UsageError):
         choose(name)
+
+
+def test_a_device_is_no_trace() -> None:
+    """It may never end."""
+    with pytest.raises(UsageError, match="is no file"):
+        choose("replay:/dev/null")

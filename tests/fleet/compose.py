@@ -37,6 +37,8 @@ PACKAGES = "python3,python3-pip,python3-venv,python-is-python3,ca-certificates"
 AUTHORITIES = Path("/etc/ssl/certs/ca-certificates.crt")
 AGENTS = ["agent-1", "agent-2"]
 PATIENCE_S = 900
+ENDED_WELL = (0, -signal.SIGTERM, 128 + signal.SIGTERM)
+"""A server that has closed everything ends by the signal that it was sent."""
 
 
 class CannotError(Exception):
@@ -292,7 +294,7 @@ def complete_a_sweep(place: Containers | Processes) -> list[str]:
     wrong = [f"the sweep is {state['state']}"] if state["state"] != "done" else []
     wrong += [f"{agent} did nothing" for agent in AGENTS if not by_device[agent]]
     wrong += [f"{name} is not healthy" for name, well in healthy.items() if not well]
-    return wrong + [f"{name} ended with {code}" for name, code in codes.items() if code]
+    return wrong + [f"{name} ended with {code}" for name, code in codes.items() if code not in ENDED_WELL]
 
 
 def main(arguments: list[str]) -> int:

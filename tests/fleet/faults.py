@@ -28,7 +28,8 @@ from faulty_world import Faults, forked, kill, measure_and_deliver, serve, wire 
 from joulebox_server.store import Store  # noqa: E402
 from seeded import add_devices, add_scene, add_sweep  # noqa: E402
 
-PATIENCE_S = 40.0
+LOOKS, LOOK_EVERY_S = 800, 0.05
+"""How long a recovery may take. Counted, not timed: what stops this process for a while stops the others too."""
 JOBS = 1000
 """Of each sweep; a new one begins when few are left."""
 
@@ -101,17 +102,16 @@ class World:
     def check(self, progress: int) -> int:
         """Wait until the measured is stored and `progress` more beside; returns how many results there are."""
         expected = {attempt: pixels for attempt, pixels in self.measured().items() if attempt not in self.spoilt}
-        ends_s = time.monotonic() + PATIENCE_S
-        while True:
+        for _ in range(LOOKS):
             with self.database() as db:
                 found = db.execute("SELECT attempt_id, pixel_sha256 FROM result").fetchall()
             stored, count = dict(found), len(found)
             missing = expected.keys() - stored.keys()
             if not missing and count >= progress:
                 break
-            if time.monotonic() > ends_s:
-                raise BrokenError(f"{len(missing)} measured results are not stored, {count} are (wanted {progress})")
-            time.sleep(0.05)
+            time.sleep(LOOK_EVERY_S)
+        else:
+            raise BrokenError(f"{len(missing)} measured results are not stored, {count} are (wanted {progress})")
         wrong = [attempt for attempt, pixels in expected.items() if stored[attempt] != pixels]
         if wrong or len(stored) != count:
             raise BrokenError(f"{len(wrong)} results are not what was measured; {count - len(stored)} are double")

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from fake_device import capabilities, measure_document, sweep
+from joulebox_server import connections
 from server_testing import Server, listening
 
 JSON_ROUTES = (
@@ -149,6 +150,30 @@ def test_bodies_that_come_a_byte_at_a_time(server: Server, address: tuple[str, i
         for connection in held:
             connection.close()
     assert list(server.store.incoming_dir.iterdir()) == []
+
+
+def test_a_connection_that_never_asks(
+    server: Server, address: tuple[str, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Silent from the start, or in the middle of a head, the first or a later one: closed; a long answer is not."""
+    monkeypatch.setattr(connections, "HEAD_WITHIN_S", 1.0)
+    whole = b"GET /healthz HTTP/1.1\r\nHost: x\r\n\r\n"
+    held = [half_sent(address, start) for start in (b"", b"GET / HT", whole[:-2], whole + whole[:-2])]
+    watching = half_sent(address, b"GET /v1/events HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+    try:
+        for connection in held:
+            answer = b""
+            while part := connection.recv(4096):
+                answer += part
+            assert answer.count(b"HTTP/1.1 200") == (1 if connection is held[-1] else 0)
+        time.sleep(1.5)
+        watching.setblocking(False)
+        assert watching.recv(65_536).startswith(b"HTTP/1.1 200")
+        with pytest.raises(BlockingIOError):  # open, and nothing more to read
+            watching.recv(1)
+    finally:
+        for connection in [*held, watching]:
+            connection.close()
 
 
 def test_a_trickle_is_ended_too(server: Server, address: tuple[str, int]) -> None:

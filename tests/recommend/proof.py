@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
@@ -47,11 +48,17 @@ class Score:
 def campaigns(
     known: Known, seed: int, count: int, share: float = 1.0, one_session: bool = False
 ) -> Iterator[tuple[Campaign, np.random.Generator]]:
-    """Campaigns that measure the whole grid or a random share of it, each with the generator that goes with it."""
+    """Campaigns that measure the whole grid or a random share of it, each with a generator for its questions."""
     for number in range(count):
-        rng = np.random.default_rng([seed, number])
-        places = None if share == 1 else rng.choice(len(known.cost), round(share * len(known.cost)), replace=False)
-        yield campaign(known, rng, places, one_session), rng
+        yield _campaign(known, seed, number, share, one_session), np.random.default_rng([seed, number, 1])
+
+
+@lru_cache(maxsize=QUESTIONS // PER_CAMPAIGN)
+def _campaign(known: Known, seed: int, number: int, share: float, one_session: bool) -> Campaign:
+    """The same one for every kind of question, as what is learnt from it takes longest."""
+    rng = np.random.default_rng([seed, number, 0])
+    places = None if share == 1 else rng.choice(len(known.cost), round(share * len(known.cost)), replace=False)
+    return campaign(known, rng, places, one_session)
 
 
 def budget_question(known: Known, rng: np.random.Generator) -> Question:

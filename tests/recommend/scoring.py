@@ -9,7 +9,7 @@ the set decides nothing.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -20,10 +20,12 @@ from joulebox_server.analysis.intervals import Interval
 from joulebox_server.analysis.points import Observation, Subject
 from joulebox_server.analysis.tradeoff import build_tradeoff
 
-from .grids import REPEATS, SEEDS, SIDE, TRUTH_SEEDS, Grid, Render, read_renders
+from .grids import COST_SEEDS, REPEATS, SEEDS, SIDE, TRUTH_SEEDS, Grid, Render, read_renders
 
 NOISE_SHARE = 0.05
 DRIFT_SHARE = 0.03
+POLISHES = 10
+"""Turns of alternating medians; they settle within a few."""
 FAR_OFF = 1e6
 """Stands for a difference that is known to be far beyond every limit."""
 
@@ -68,9 +70,23 @@ def known(grid: Grid, seeds: str) -> Known:
     repeats = [_of_set(each, SEEDS[seeds]) for each in found]
     hidden = [[each[s].difference for s in TRUTH_SEEDS[seeds] if s in each] for each in found]
     true = [np.mean(unseen) if unseen else np.nanmean(seen) for unseen, seen in zip(hidden, repeats, strict=True)]
-    cost = [np.median([render.cpu_s for render in each.values()]) for each in found]
     pixels = [min(each.items())[1].pixels for each in found]
-    return Known(grid, np.array(repeats), np.array(cost), np.array(true), pixels)
+    return Known(grid, np.array(repeats), _costs(found), np.array(true), pixels)
+
+
+def _costs(found: Sequence[Mapping[int, Render]]) -> np.ndarray:
+    """Median CPU seconds of each configuration, what a seed's renders took longer for all of them taken off.
+
+    All renders with one seed follow each other, so that this is how slow the machine was at that time.
+    """
+    logs = np.log([[each[s].cpu_s if s in each else np.nan for s in COST_SEEDS] for each in found])
+    logs = logs[:, np.isfinite(logs).any(axis=0)]
+    shifts = np.zeros(logs.shape[1])
+    for _ in range(POLISHES):
+        own = np.nanmedian(logs - shifts, axis=1)
+        shifts = np.nanmedian(logs - own[:, None], axis=0)
+        shifts -= np.median(shifts)
+    return np.asarray(np.exp(np.nanmedian(logs - shifts, axis=1)))
 
 
 def _of_set(renders: dict[int, Render], seeds: Sequence[int]) -> list[float]:
@@ -84,12 +100,31 @@ def _of_set(renders: dict[int, Render], seeds: Sequence[int]) -> list[float]:
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
-    """What was measured: energies and differences of some configurations, (k, 3); `places` says which."""
+    """What was measured: energies and differences of some configurations, (k, 3); `places` says which.
+
+    seeds   (3,) places of the repeats' seeds in their set
+    number  what the noise of later measurements is drawn by
+    """
 
     known: Known
     places: np.ndarray
     energy: np.ndarray
     difference: np.ndarray
+    seeds: np.ndarray
+    number: int
+
+    def extended(self, places: Sequence[int]) -> Campaign:
+        """With more configurations, measured later in sessions of their own, with the same seeds."""
+        rng = np.random.default_rng([self.number, len(self.places)])
+        later = _measured(self.known, np.asarray(places), self.seeds, rng, sessions=REPEATS)
+        return Campaign(
+            self.known,
+            np.concatenate([self.places, later.places]),
+            np.concatenate([self.energy, later.energy]),
+            np.concatenate([self.difference, later.difference]),
+            self.seeds,
+            self.number,
+        )
 
     @property
     def mean_difference(self) -> np.ndarray:
@@ -139,7 +174,18 @@ def campaign(
 ) -> Campaign:
     """Measure all configurations, or those at `places`: each repeat is a session, or all are one."""
     chosen = np.arange(len(known.cost)) if places is None else np.asarray(places)
-    noise = 1 + NOISE_SHARE * rng.standard_normal((len(chosen), REPEATS))
-    drift = 1 + DRIFT_SHARE * rng.standard_normal(1 if one_session else REPEATS)
     seeds = rng.choice(known.repeats.shape[1], REPEATS, replace=False)
-    return Campaign(known, chosen, known.cost[chosen, None] * drift * noise, known.repeats[np.ix_(chosen, seeds)])
+    return _measured(known, chosen, seeds, rng, sessions=1 if one_session else REPEATS)
+
+
+def _measured(known: Known, places: np.ndarray, seeds: np.ndarray, rng: np.random.Generator, sessions: int) -> Campaign:
+    noise = 1 + NOISE_SHARE * rng.standard_normal((len(places), REPEATS))
+    drift = 1 + DRIFT_SHARE * rng.standard_normal(sessions)
+    return Campaign(
+        known,
+        places,
+        known.cost[places, None] * drift * noise,
+        known.repeats[np.ix_(places, seeds)],
+        seeds,
+        int(rng.integers(2**32)),
+    )

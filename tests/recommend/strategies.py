@@ -10,12 +10,13 @@ from functools import lru_cache
 
 import numpy as np
 from joulebox_server.analysis.candidates import Known, candidates
-from joulebox_server.analysis.documents import Tradeoff
+from joulebox_server.analysis.documents import Recommendation, Tradeoff
 from joulebox_server.analysis.recommend import recommend
 
 from .scoring import Campaign
 
 OPTUNA_TRIALS = 100
+CONFIRM_ROUNDS, CONFIRMED_AT_ONCE = 2, 4
 
 
 @dataclass(frozen=True)
@@ -26,18 +27,18 @@ class Question:
     limit: float
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=64)
 def found_by(campaign: Campaign) -> tuple[Tradeoff, Known]:
-    """Built once for all questions to a campaign."""
+    """Built once for all questions to a campaign; a proof has 60 of them."""
     tradeoff = campaign.tradeoff()
     return tradeoff, candidates(tradeoff, "energy_j")
 
 
 def joulebox(campaign: Campaign, question: Question) -> int | None:
-    """By the upper confidence bounds of `joulebox recommend`."""
+    """As `joulebox recommend`: by the upper confidence bounds; predictions answer where nothing measured fits."""
     tradeoff, known = found_by(campaign)
     answer = recommend(tradeoff, question.budget, difference_limit=question.limit, proposals=0, known=known)
-    return None if answer.configuration_id is None else int(answer.configuration_id)
+    return _place(campaign, answer)
 
 
 def joulebox_predicting(campaign: Campaign, question: Question) -> int | None:
@@ -46,11 +47,33 @@ def joulebox_predicting(campaign: Campaign, question: Question) -> int | None:
     answer = recommend(
         tradeoff, question.budget, difference_limit=question.limit, predict=True, proposals=0, known=known
     )
+    return _place(campaign, answer)
+
+
+def joulebox_confirming(campaign: Campaign, question: Question) -> int | None:
+    """As `joulebox recommend --confirm`, asked again each time that what it proposed was measured.
+
+    What was measured already is not measured again here, as it could be with new seeds.
+    """
+    grid, held = campaign.known.grid, campaign
+    for _ in range(CONFIRM_ROUNDS):
+        tradeoff, known = found_by(held)
+        answer = recommend(
+            tradeoff, question.budget, difference_limit=question.limit, proposals=CONFIRMED_AT_ONCE, known=known
+        )
+        wanted = [grid.configurations.index({name: c.settings[name] for name in grid.axes}) for c in answer.proposals]
+        new = [place for place in wanted if place not in held.places]
+        if not new:
+            break
+        held = held.extended(new)
+    return joulebox(held, question)
+
+
+def _place(campaign: Campaign, answer: Recommendation) -> int | None:
     if answer.settings is None:
         return None
-    axes = campaign.known.grid.axes
-    wanted = {name: answer.settings[name] for name in axes}
-    return campaign.known.grid.configurations.index(wanted)
+    grid = campaign.known.grid
+    return grid.configurations.index({name: answer.settings[name] for name in grid.axes})
 
 
 def mean_of_three(campaign: Campaign, question: Question) -> int | None:

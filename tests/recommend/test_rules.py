@@ -1,17 +1,20 @@
 """The code has the rules that were frozen before scoring, and the kept renders are what the proof says they are."""
 
+import inspect
 import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
-from joulebox_server.analysis import scatter, surrogate
+from joulebox_server.analysis import proposals, scatter, surrogate
 from joulebox_server.analysis.recommend import recommend
+from joulebox_server.analysis.tradeoff import build_tradeoff
 
+from recommend import strategies
 from recommend.grids import GRIDS, SEEDS, TRUTH_SEEDS, is_complete, read_reference, read_renders
 from recommend.proof import Score, budget_question, judge, limit_question, score
 from recommend.scoring import campaign, known
-from recommend.strategies import Question, joulebox, mean_of_three, measured_once, optuna_best
+from recommend.strategies import Question, joulebox, joulebox_confirming, mean_of_three, measured_once, optuna_best
 
 RULES = Path(__file__).parent / "rules.toml"
 
@@ -19,7 +22,7 @@ RULES = Path(__file__).parent / "rules.toml"
 def test_the_code_has_the_frozen_rules():
     rules = tomllib.loads(RULES.read_text(encoding="utf-8"))
     assert rules == {
-        "confidence": 0.95,
+        "confidence": inspect.signature(build_tradeoff).parameters["confidence"].default,
         "drift_share": scatter.DRIFT.share,
         "drift_freedom": scatter.DRIFT.freedom,
         "seed_luck_share": scatter.SEED_LUCK.share,
@@ -28,6 +31,10 @@ def test_the_code_has_the_frozen_rules():
         "min_points": surrogate.MIN_POINTS,
         "min_points_per_effect": surrogate.POINTS_PER_EFFECT,
         "difference_tails": surrogate.DIFFERENCE_TAILS,
+        "cost_tails": surrogate.COST_TAILS,
+        "min_gain": proposals.MIN_GAIN,
+        "confirm_rounds": strategies.CONFIRM_ROUNDS,
+        "confirmed_at_once": strategies.CONFIRMED_AT_ONCE,
     }
 
 
@@ -36,7 +43,7 @@ FINISHED = [(grid, name) for grid in GRIDS.values() for name in grid.sets if is_
 
 def test_there_is_something_to_tune_on_and_to_score():
     names = {(grid.scene, name) for grid, name in FINISHED}
-    assert {("cornell-boxes", "A"), ("cornell-boxes", "B"), ("cornell-spheres", "A")} <= names
+    assert names == {(grid.scene, name) for grid in GRIDS.values() for name in grid.sets}
 
 
 @pytest.mark.parametrize(("grid", "name"), FINISHED, ids=lambda value: getattr(value, "scene", value))
@@ -55,13 +62,14 @@ def test_the_held_out_scene_has_no_seeds_to_tune_on():
     for grid in GRIDS.values():
         seeds = {render.seed for render in read_renders(grid)}
         assert not (grid.held_out and seeds & {*SEEDS["A"], *TRUTH_SEEDS["A"]})
+        assert grid.scored not in grid.tuned
     assert [grid.scene for grid in GRIDS.values() if grid.held_out] == ["thin-wall"]
 
 
-def test_no_seed_both_measures_and_judges():
-    for name in SEEDS:
-        assert not set(SEEDS[name]) & {*TRUTH_SEEDS["A"], *TRUTH_SEEDS["B"]}
-    assert not {*SEEDS["A"], *TRUTH_SEEDS["A"]} & {*SEEDS["B"], *TRUTH_SEEDS["B"]}
+def test_no_seed_serves_twice():
+    """Neither both to measure and to judge, nor both to tune and to score."""
+    every = [seed for seeds in (SEEDS, TRUTH_SEEDS) for each in seeds.values() for seed in each]
+    assert len(every) == len(set(every))
 
 
 def test_a_campaign_has_the_noise_that_it_says():
@@ -86,6 +94,21 @@ def test_judging_by_hand():
     assert found.broken == 2
     judge(held, Question(2 * held.cost[best], limit), None, found)
     assert (found.asked, found.refused) == (4, 1)
+
+
+def test_confirming_measures_what_is_proposed():
+    """A question to a tenth of the grid: at most so many more are measured, in sessions of their own."""
+    held = known(GRIDS["cornell-boxes"], "A")
+    places = np.random.default_rng(6).choice(len(held.cost), 40, replace=False)
+    measured = campaign(held, np.random.default_rng(7), places)
+    later = measured.extended([place for place in range(len(held.cost)) if place not in places][:4])
+    assert later.places.tolist()[:40] == places.tolist()
+    assert later.energy.shape == (44, 3)
+    assert (later.energy[:40] == measured.energy).all()
+    question = Question(float(np.median(held.cost)), held.grid.limit)
+    place = joulebox_confirming(measured, question)
+    assert place is not None
+    assert held.cost[place] <= 1.1 * question.budget
 
 
 def test_upper_bounds_hold_where_bare_values_break():

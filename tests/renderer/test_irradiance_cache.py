@@ -260,7 +260,7 @@ SMALL: dict[str, Any] = {
 @pytest.mark.parametrize("scene", ["cornell-boxes", "cornell-spheres", "caustic-ring"])
 @pytest.mark.parametrize("changes", [{}, {"irradiance_gradients": False}, {"sampler": "sobol"}], ids=str)
 def test_threads_and_chunks_do_not_show(render: Render, scene: str, changes: dict[str, Any]) -> None:
-    settings = {**SMALL, **changes}
+    settings = {**SMALL, "width": 26, "height": 18, **changes}
     first = render(scene, **settings)
     assert first.irradiance_records > (1 if scene == "caustic-ring" else 50)
     for threads, chunk_rays in ((1, 400), (3, 1237), (2, 50_000)):

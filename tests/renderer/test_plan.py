@@ -43,6 +43,28 @@ def test_what_is_left_out_does_not_change_a_pixel(
         assert forced.plan.caustic_map == (indirect != "path")
 
 
+CHOICES: dict[str, tuple[Any, ...]] = {
+    "indirect": INDIRECT, "caustics": (True, False), "caustic_photons": (0, 100, 300), "caustic_hints": (True, False),
+    "photon_spacing": (0, 1, 4), "irradiance_cache_tolerance": (0.0, 0.3, 1.0), "irradiance_gradients": (True, False),
+    "importance_sampling": (True, False), "use_shadow_photons": (True, False), "direct_photons": (0, 50),
+    "store_at_every_bounce": (True, False), "max_photon_bounces": (0, 1, 9), "max_depth": (0, 1, 12),
+    "sampler": ("independent", "stratified", "sobol"), "gather_filter": ("constant", "cone", "epanechnikov"),
+    "jitter": (True, False), "seed": tuple(range(100)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("trial", range(40))
+def test_whatever_is_asked_for(open_session: Callable[..., Any], trial: int) -> None:
+    """As above, of settings drawn at random in a scene drawn at random: 40 of some four million combinations."""
+    random = np.random.default_rng(trial)
+    scene = str(random.choice(["cornell-boxes", "point-light", "furnace", "many-lights", "corner-light", "thin-wall"]))
+    drawn = {name: values[random.integers(len(values))] for name, values in CHOICES.items()}
+    settings = {**SMALL, "width": 8, "height": 8, **drawn}
+    planned, forced = (open_session(scene, force_all=force, **settings) for force in (False, True))
+    np.testing.assert_array_equal(planned.render().pixels, forced.render().pixels, err_msg=str(drawn))
+    assert set(planned.plan.run) <= set(forced.plan.run)
+
+
 def test_a_diffuse_scene_needs_no_caustics_and_no_specular_recursion() -> None:
     plan = plan_of("cornell-boxes")
     assert plan.run == ["photon_map", "precomputed_irradiance", "direct", "indirect"]

@@ -12,6 +12,7 @@ import httpx2
 import uvicorn
 from fake_device import FakeDevice, scene_zip, sweep
 from joulebox_server.app import create_app
+from joulebox_server.connections import PatientProtocol
 from joulebox_server.settings import ServerSettings
 from joulebox_server.store import tokens
 from starlette.testclient import TestClient
@@ -87,7 +88,7 @@ def listening(data_dir: Path, executor: Any, **settings: Any) -> Iterator[Server
     clock = Clock()
     given = {"release_pause_s": 0, "retry_pause_s": 0, **settings}
     app = create_app(ServerSettings(data_dir=data_dir, **given), executor, clock)
-    config = uvicorn.Config(app, port=0, log_level="warning", timeout_graceful_shutdown=1)
+    config = uvicorn.Config(app, port=0, log_level="warning", timeout_graceful_shutdown=1, http=PatientProtocol)
     running = uvicorn.Server(config)
     thread = threading.Thread(target=running.run)
     thread.start()

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 from fake_device import measure_document
-from joulebox_server.reports.page import PAGE
+from joulebox_server.reports.document import Chart
+from joulebox_server.reports.page import PAGE, DrawnChart
 from server_testing import Run, Server, failed
 
 LOCAL = re.compile(r"#[\w-]+|data:image/(png|svg\+xml);base64,[A-Za-z0-9+/=]+")
@@ -218,3 +219,9 @@ def test_what_stands_in_the_way(run: Run, live: Server, there: list[str], tmp_pa
     (out / name).rmdir()
     (out / name).write_text("a file")
     failed(run("report", sweep["id"], "-o", str(out), *there), 1, "cannot be written")
+
+
+def test_the_smaller_picture_of_a_chart_stands_in() -> None:
+    chart = Chart("points", {}, "", "")
+    assert DrawnChart(chart, b"<svg" + 100 * b" ", b"PNG").stand_in == "data:image/png;base64,UE5H"
+    assert DrawnChart(chart, b"<svg", 100 * b"P").stand_in == "data:image/svg+xml;base64,PHN2Zw=="

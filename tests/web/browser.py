@@ -88,7 +88,7 @@ def opened(
     )
     try:
         page = context.new_page()
-        page.set_default_timeout(20_000)
+        page.set_default_timeout(30_000)
         page.add_init_script(WATCH_POLICY)
         watched = Watched(page, urlsplit(url).netloc)
         page.on("console", watched.hear)

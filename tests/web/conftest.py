@@ -8,7 +8,9 @@ pytest.importorskip("playwright.sync_api", reason="the dashboard's tests need th
 
 from browser import started_browser
 from fleet_fixture import Fleet, fill, running_fleet
-from playwright.sync_api import Browser
+from playwright.sync_api import Browser, expect
+
+expect.set_options(timeout=30_000)  # a busy machine is no fault of the page
 
 
 @pytest.fixture(scope="session")

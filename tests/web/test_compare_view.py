@@ -86,6 +86,7 @@ def test_pixels_are_the_renderer_s_numbers(browser: Browser, stored: Fleet) -> N
         watched.check()
 
 
+@pytest.mark.long
 def test_the_slider_parts_the_pictures(browser: Browser, stored: Fleet) -> None:
     with opened(browser, stored.url, path=address(stored, mode="slider", zoom=4)) as watched:
         page = watched.page
@@ -114,6 +115,7 @@ def test_the_slider_parts_the_pictures(browser: Browser, stored: Fleet) -> None:
         watched.check()
 
 
+@pytest.mark.long
 def test_blinking_shows_both_and_can_be_stopped(browser: Browser, stored: Fleet) -> None:
     with opened(browser, stored.url, path=address(stored, mode="blink", zoom=4)) as watched:
         page = watched.page
@@ -128,6 +130,7 @@ def test_blinking_shows_both_and_can_be_stopped(browser: Browser, stored: Fleet)
         watched.check()
 
 
+@pytest.mark.long
 def test_zoom_and_drag_by_hand_and_keyboard(browser: Browser, stored: Fleet) -> None:
     with opened(browser, stored.url, path=address(stored, zoom=1)) as watched:
         page = watched.page
@@ -154,6 +157,7 @@ def test_zoom_and_drag_by_hand_and_keyboard(browser: Browser, stored: Fleet) -> 
         watched.check()
 
 
+@pytest.mark.long
 def test_the_error_map_is_the_stored_difference(browser: Browser, stored: Fleet) -> None:
     """The worst pixel's read-out is the comparison's own, as closely as a grey level of the map tells (0.04 JND)."""
     with opened(browser, stored.url, path=address(stored, mode="map", zoom=4)) as watched:
@@ -179,6 +183,7 @@ def test_the_error_map_is_the_stored_difference(browser: Browser, stored: Fleet)
         watched.check()
 
 
+@pytest.mark.long
 def test_two_points_and_a_link(browser: Browser, stored: Fleet) -> None:
     with opened(browser, stored.url, path=address(stored)) as watched:
         page = watched.page
@@ -195,6 +200,7 @@ def test_two_points_and_a_link(browser: Browser, stored: Fleet) -> None:
         expect(again.page.locator("#compare .facts")).to_have_text(figures or "")
 
 
+@pytest.mark.long
 def test_pictures_that_are_not_there(browser: Browser, stored: Fleet) -> None:
     zeros = "0" * 64
     with opened(browser, stored.url, path=f"/#view=compare&reference={zeros}&test={zeros}") as watched:

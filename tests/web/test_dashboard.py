@@ -50,6 +50,7 @@ def test_nothing_measured_yet(browser: Browser, tmp_path: Path) -> None:
         watched.check()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("width", [1280, 390])
 def test_a_sweep_is_pasted_previewed_and_started(browser: Browser, tmp_path: Path, width: int) -> None:
     """What is wrong is said first; then jobs, joules, time and charges; one press makes one sweep, which is shown."""
@@ -107,6 +108,7 @@ def test_failed_jobs_are_retried(browser: Browser, tmp_path: Path) -> None:
             assert [text for text in watched.complaints if "401" not in text and "403" not in text] == []
 
 
+@pytest.mark.long
 def test_a_sweep_is_paused_and_resumed(browser: Browser, tmp_path: Path) -> None:
     with running_fleet(tmp_path) as fresh:
         fresh.add_scene()
@@ -121,6 +123,7 @@ def test_a_sweep_is_paused_and_resumed(browser: Browser, tmp_path: Path) -> None
             expect(page.get_by_role("button", name="Pause")).to_be_visible()
 
 
+@pytest.mark.long
 def test_a_share_of_the_battery(browser: Browser, fleet: Fleet, sweeps: dict[str, str]) -> None:
     """0.01 % of 48 Wh is 17.28 J for one image: the line stands there, and the answer is that of 17.28 J."""
     address = f"/#sweep={sweeps['replayed']}&budget=0.01&unit=percent&images=1"
@@ -131,6 +134,7 @@ def test_a_share_of_the_battery(browser: Browser, fleet: Fleet, sweeps: dict[str
         watched.check()
 
 
+@pytest.mark.long
 def test_promising_settings_are_shown_and_queued(browser: Browser, fleet: Fleet, sweeps: dict[str, str]) -> None:
     """Predictions come into the chart when they are asked for, with a mark of their own."""
     with opened(browser, fleet.url, path=f"/#sweep={sweeps['sparse']}&budget=40") as watched:
@@ -144,6 +148,7 @@ def test_promising_settings_are_shown_and_queued(browser: Browser, fleet: Fleet,
         expect(page.locator("#recommendation")).to_contain_text("queued; the answer changes as they arrive")
 
 
+@pytest.mark.long
 def test_without_energy_time_takes_its_place(browser: Browser, fleet: Fleet, sweeps: dict[str, str]) -> None:
     with opened(browser, fleet.url, path=f"/#sweep={sweeps['time_only']}") as watched:
         page = watched.page
@@ -157,6 +162,7 @@ def test_without_energy_time_takes_its_place(browser: Browser, fleet: Fleet, swe
         expect(page.locator("#trace")).to_contain_text("timed without a meter")
 
 
+@pytest.mark.long
 def test_asks_for_a_token(browser: Browser, tmp_path: Path) -> None:
     """A server that lets nobody read: a wrong token is refused in words, the right one opens everything."""
     with running_fleet(tmp_path, stored=True, anonymous_reads=False) as closed, opened(browser, closed.url) as watched:
@@ -189,6 +195,7 @@ def test_comes_back_after_the_server_was_away(browser: Browser, fleet: Fleet, sw
         expect(page.get_by_role("button", name="box-photons")).to_be_visible()
 
 
+@pytest.mark.long
 def test_every_panel_says_when_it_cannot_be_drawn(browser: Browser, stored: Fleet) -> None:
     """Each part of the page fails alone, in words, with a way to try again; the others stay."""
     broken = ("charts/stages", "charts/trace", "/points/", "recommendation")

@@ -63,6 +63,7 @@ def test_enrolment_by_one_line(browser: Browser, tmp_path: Path) -> None:
         assert [text for text in watched.complaints if "401" not in text] == []
 
 
+@pytest.mark.long
 def test_a_suspect_device_is_cleared(browser: Browser, tmp_path: Path) -> None:
     with running_fleet(tmp_path, suspect_after=2, retry_pause_s=0) as fresh:
         fresh.add_scene()
@@ -82,6 +83,7 @@ def test_a_suspect_device_is_cleared(browser: Browser, tmp_path: Path) -> None:
         assert device.work() > 0
 
 
+@pytest.mark.long
 def test_disagreeing_pictures_are_found_and_compared(browser: Browser, tmp_path: Path) -> None:
     """Two devices of one class make different pixels of the same settings; a third has another build."""
     with running_fleet(tmp_path) as fresh:

@@ -43,6 +43,7 @@ def drawn_after_ms(watched: Watched) -> float:
     )
 
 
+@pytest.mark.long
 def test_two_thousand_points_are_light_on_the_wire(browser: Browser, large: Fleet) -> None:
     """First load below 1.5 MB, with nothing from elsewhere; afterwards only what changes travels again."""
     with opened(browser, large.url, path=ADDRESS) as watched:
@@ -56,6 +57,7 @@ def test_two_thousand_points_are_light_on_the_wire(browser: Browser, large: Flee
         watched.check()
 
 
+@pytest.mark.long
 def test_a_click_on_the_canvas_finds_its_point(browser: Browser, large: Fleet) -> None:
     with opened(browser, large.url, path=ADDRESS) as watched:
         page = watched.page

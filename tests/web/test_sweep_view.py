@@ -76,6 +76,7 @@ def test_from_the_list_to_a_recommendation(browser: Browser, stored: Fleet, widt
         watched.check()
 
 
+@pytest.mark.long
 def test_a_ring_marks_the_chosen_point(browser: Browser, stored: Fleet) -> None:
     """Within 3 pixels: half a point's width, and less than the distance of any two points."""
     with opened(browser, stored.url, path=grid(stored)) as watched:
@@ -91,6 +92,7 @@ def test_a_ring_marks_the_chosen_point(browser: Browser, stored: Fleet) -> None:
         assert middles[0] == pytest.approx(middles[1], abs=3)
 
 
+@pytest.mark.long
 def test_hover_tells_all_settings(browser: Browser, stored: Fleet) -> None:
     with opened(browser, stored.url, path=grid(stored)) as watched:
         expect(watched.page.locator(POINTS)).to_have_count(ALL)
@@ -102,6 +104,7 @@ def test_hover_tells_all_settings(browser: Browser, stored: Fleet) -> None:
         watched.check()
 
 
+@pytest.mark.long
 def test_the_limit_is_dragged_and_typed(browser: Browser, stored: Fleet) -> None:
     """To a hundredth of its height: the chart says so, the judgements follow, and a link keeps it."""
     with opened(browser, stored.url, path=grid(stored, budget=9)) as watched:
@@ -127,6 +130,7 @@ def test_the_limit_is_dragged_and_typed(browser: Browser, stored: Fleet) -> None
         watched.check()
 
 
+@pytest.mark.long
 def test_the_budget_is_dragged_slid_and_moved_by_keyboard(browser: Browser, stored: Fleet) -> None:
     with opened(browser, stored.url, path=grid(stored, budget=9)) as watched:
         page = watched.page
@@ -153,6 +157,7 @@ def test_the_budget_is_dragged_slid_and_moved_by_keyboard(browser: Browser, stor
         watched.check()
 
 
+@pytest.mark.long
 def test_units_of_the_budget(browser: Browser, stored: Fleet) -> None:
     """2.5 Wh for 1000 images are 9 J for one: the same answer as 9 J, and the line at 9 J. Seconds have their own."""
     with opened(browser, stored.url, path=grid(stored, budget=9, unit="j")) as watched:
@@ -171,6 +176,7 @@ def test_units_of_the_budget(browser: Browser, stored: Fleet) -> None:
         watched.check()
 
 
+@pytest.mark.long
 def test_points_are_looked_at_by_setting(browser: Browser, stored: Fleet) -> None:
     """The others turn pale and leave the table; colour follows the setting chosen for it; a link keeps both."""
     with opened(browser, stored.url, path=grid(stored)) as watched:
@@ -193,6 +199,7 @@ def test_points_are_looked_at_by_setting(browser: Browser, stored: Fleet) -> Non
         expect(again.page.locator(f"{POINTS}[opacity='0.12']")).to_have_count(0)
 
 
+@pytest.mark.long
 def test_a_link_reproduces_the_view(browser: Browser, stored: Fleet) -> None:
     with opened(browser, stored.url) as watched:
         page = watched.page
@@ -226,6 +233,7 @@ def test_a_link_reproduces_the_view(browser: Browser, stored: Fleet) -> None:
         again.check()
 
 
+@pytest.mark.long
 def test_energy_per_pixel(browser: Browser, stored: Fleet) -> None:
     with opened(browser, stored.url, path=grid(stored, x="energy_j_per_pixel", budget=9)) as watched:
         expect(watched.page.locator("#tradeoff svg")).to_contain_text("energy per pixel [J]")
@@ -233,6 +241,7 @@ def test_energy_per_pixel(browser: Browser, stored: Fleet) -> None:
         watched.check()
 
 
+@pytest.mark.long
 def test_the_settings_are_taken_along(browser: Browser, stored: Fleet) -> None:
     """What is copied is what the server recommends: as a file, and as a line that the renderer reads back."""
     with opened(browser, stored.url, path=grid(stored, budget=9)) as watched:
@@ -255,6 +264,7 @@ def test_the_settings_are_taken_along(browser: Browser, stored: Fleet) -> None:
         watched.check()
 
 
+@pytest.mark.long
 def test_the_chart_is_downloaded(browser: Browser, stored: Fleet) -> None:
     with opened(browser, stored.url, path=grid(stored)) as watched:
         for name, start in (("SVG", b"<svg"), ("PNG", b"\x89PNG"), ("Vega-Lite", b"{")):
@@ -264,6 +274,7 @@ def test_the_chart_is_downloaded(browser: Browser, stored: Fleet) -> None:
         watched.check()
 
 
+@pytest.mark.long
 def test_by_keyboard_alone(browser: Browser, stored: Fleet) -> None:
     """A row of the table does what a click on the chart does, and keeps the focus."""
     with opened(browser, stored.url, path=grid(stored)) as watched:
@@ -296,6 +307,7 @@ def test_a_failed_sweep_says_why_and_what_to_do(browser: Browser, stored: Fleet,
         watched.check()
 
 
+@pytest.mark.long
 def test_an_unknown_sweep_is_a_sentence(browser: Browser, stored: Fleet) -> None:
     with opened(browser, stored.url, path="/#sweep=nonsense") as watched:
         expect(watched.page.locator("#overview .error")).to_contain_text("nonsense")
@@ -303,6 +315,7 @@ def test_an_unknown_sweep_is_a_sentence(browser: Browser, stored: Fleet) -> None
         expect(watched.page.locator("#overview h2")).to_have_text(GRID)
 
 
+@pytest.mark.long
 def test_the_back_button_returns(browser: Browser, stored: Fleet) -> None:
     with opened(browser, stored.url) as watched:
         page = watched.page

@@ -36,6 +36,7 @@ class PowerSeries:
                 if before is None or before.reading.raw != sample.reading.raw
             ]
         )
+        self._poll_s = float(np.median(np.diff(self.poll_times_s))) if len(good) > 1 else 0.0
         self._counters = _counter_nodes(good)
         self._powers = [(s.time_s, s.reading.power_w) for s in good if s.reading.power_w is not None]
         changes = _changes(self._powers)
@@ -62,8 +63,7 @@ class PowerSeries:
         gaps_s = np.diff(times_s[1:])
         if gaps_s.size < 1 or times_s.size < 3:
             return None
-        poll_s = float(np.median(np.diff(self.poll_times_s)))
-        closest_s = max(poll_s, float(np.quantile(gaps_s, CLOSEST, method="inverted_cdf")))
+        closest_s = max(self._poll_s, float(np.quantile(gaps_s, CLOSEST, method="inverted_cdf")))
         near_s = gaps_s[gaps_s < 1.9 * closest_s]
         whole = int((near_s >= closest_s / 2).sum())
         return float(near_s.sum()) / whole if whole else closest_s
@@ -72,8 +72,7 @@ class PowerSeries:
         """Forgets powers that stood for less than half a refresh: read while one pack was ahead of the other."""
         if self._refresh_s is None or self._changes_s.size < FEWEST_CHANGES or self.poll_times_s.size < 2:
             return
-        poll_s = float(np.median(np.diff(self.poll_times_s)))
-        if self._refresh_s < TORN_POLLS * poll_s:
+        if self._refresh_s < TORN_POLLS * self._poll_s:
             return
         stood_s = np.append(np.diff(self._changes_s), np.inf)
         stood_s[0] = np.inf  # the first was not seen to begin
@@ -151,10 +150,9 @@ class PowerSeries:
 
     def covered(self, start_s: float, end_s: float) -> bool:
         """No time without a good sample is long enough to matter to the energy of the stretch."""
-        polls_s = GAP_POLLS * float(np.median(np.diff(self.poll_times_s))) if self.poll_times_s.size > 1 else 0.0
         tenth_s = GAP_SHARE * (end_s - start_s)
         refreshes_s = min(GAP_REFRESHES * self._refresh_s, tenth_s) if self._refresh_s else tenth_s
-        return self.longest_gap_s(start_s, end_s) <= max(LEAST_GAP_S, polls_s, refreshes_s)
+        return self.longest_gap_s(start_s, end_s) <= max(LEAST_GAP_S, GAP_POLLS * self._poll_s, refreshes_s)
 
     def _integral_j(self, start_s: float, end_s: float) -> float | None:
         """Trapezoid over updates, bridged to both edges; the last value is held to the end."""

@@ -7,7 +7,6 @@ Source: Documentation/ABI/testing/sysfs-class-power.
 import errno
 import math
 import os
-from functools import cache
 from pathlib import Path
 
 from joulebox_agent.sources.one_cell import Label, may_be_one_cell, one_cell, rateless
@@ -39,6 +38,7 @@ class PowerSupplyClass:
         self._silent: list[str] = []
         self._twins: dict[str, str] = {}
         self._origins: dict[str, None] = {}
+        self._files: dict[tuple[Path, str], Path] = {}
 
     def pack_folders(self) -> list[Path]:
         """Folders of the system's packs: type Battery, not scope Device, present.
@@ -59,7 +59,7 @@ class PowerSupplyClass:
         """Packs and live cables now. Raises OSError (EIO) when a file that decides on them fails twice."""
         self._find()
         packs = [self._pack(folder) for folder in self._present()]
-        online = [cable.name for cable in self._cables if self.sysfs.integer(_file(cable, "online"))]
+        online = [cable.name for cable in self._cables if self.sysfs.integer(self._file(cable, "online"))]
         notes = [f"{name} is a UPS, which may feed more than this machine" for name in self._ups]
         notes += [f"{name} has no file of power or energy: a peripheral or a second gauge" for name in self._silent]
         self._notice_twins(packs)
@@ -89,7 +89,7 @@ class PowerSupplyClass:
 
     def _present(self) -> list[Path]:
         """A bay keeps its folder when the pack is pulled out; only `present` tells."""
-        return [folder for folder in self._packs if self.sysfs.integer(_file(folder, "present")) != 0]
+        return [folder for folder in self._packs if self.sysfs.integer(self._file(folder, "present")) != 0]
 
     def _pack(self, folder: Path) -> Pack:
         micro: dict[str, int] = {}
@@ -101,10 +101,10 @@ class PowerSupplyClass:
             if name in micro:
                 continue
             try:
-                value = self.sysfs.integer(_file(folder, file))
+                value = self.sysfs.integer(self._file(folder, file))
             except OSError as error:
                 (odd if error.errno in UNUSABLE_ERRNOS else faults)[name] = sentence(error)
-                closed += [str(_file(folder, file))] if error.errno in PERMISSION_ERRNOS else []
+                closed += [str(self._file(folder, file))] if error.errno in PERMISSION_ERRNOS else []
                 continue
             if value is None:
                 continue
@@ -112,12 +112,19 @@ class PowerSupplyClass:
                 odd[name] = f"{folder / file} says {nonsense}"
             else:
                 micro[name] = value
-                self._origins[str(_file(folder, file))] = None
-        status = self.sysfs.value(_file(folder, "status"))
+                self._origins[str(self._file(folder, file))] = None
+        status = self.sysfs.value(self._file(folder, "status"))
         if status is None and not folder.exists():
             raise OSError(errno.ENODEV, "the pack was pulled out while it was read", str(folder))
-        self._origins[str(_file(folder, "status"))] = None
+        self._origins[str(self._file(folder, "status"))] = None
         return Pack(folder.name, (status or "").capitalize(), micro, faults, odd, tuple(closed))
+
+    def _file(self, folder: Path, name: str) -> Path:
+        """A file of a node that is read at every poll: joining paths anew would take longer than reading them."""
+        key = (folder, name)
+        if key not in self._files:
+            self._files[key] = folder / name
+        return self._files[key]
 
     def _notice_twins(self, packs: list[Pack]) -> None:
         """Finds second gauges of one cell. Once found they stay found: the readings of two gauges part for
@@ -179,12 +186,6 @@ class PowerSupplyClass:
         if voltage_uv is None:
             return None
         return common_step("charge") * MICRO * voltage_uv * MICRO * JOULES_PER_WH or None
-
-
-@cache
-def _file(folder: Path, name: str) -> Path:
-    """A file of a node that is read at every poll: joining paths anew would take longer than reading them."""
-    return folder / name
 
 
 def _is(word: str | None, wanted: str) -> bool:

@@ -27,8 +27,8 @@ from joulebox_render.stages.precomputed import Illumination
 
 # Pixels between the overture's eye rays, coarse to fine.
 STEPS = (16, 8, 4, 2)
-# A record reaches at least and at most this many pixels.
-LEAST_PIXELS, MOST_PIXELS = 0.7, 20.0
+# A record reaches at least and at most this many pixels (Krivanek 2006 has 1.5 to 3 for the least).
+LEAST_PIXELS, MOST_PIXELS = 3.0, 20.0
 # Records are placed at this share of the tolerance that they are used with, so that several blend at every point.
 PLACING = 0.6
 # A point must have this much of its records' radius free above it. Records that saw what is above reach no farther

@@ -161,9 +161,9 @@ def precompute_irradiance(context: Context, photons: PhotonMap) -> IrradianceRec
     step = context.settings.photon_spacing
     # By the order of storing: which photons lie first in the tree hangs on roundings of their places.
     chosen = photons.rank % step == 0
-    position = np.ascontiguousarray(photons.tree.position[chosen])
-    normal = np.ascontiguousarray(photons.tree.normal[chosen])
-    number = photons.rank[chosen].astype(np.int64)
+    taken = np.flatnonzero(chosen)
+    position, normal = photons.tree.position.take(taken, axis=0), photons.tree.normal.take(taken, axis=0)
+    number = photons.rank[taken].astype(np.int64)
     estimate = other_photons(context, photons, chosen)
     doubtful = np.empty(len(position), np.uint8)
 
@@ -202,12 +202,12 @@ def other_photons(context: Context, photons: PhotonMap, chosen: npt.NDArray[np.b
     step = context.settings.photon_spacing
     if step == 1:
         return estimate
-    others = ~chosen
-    tree, order = grow_tree(photons.tree.position[others], photons.tree.normal[others], context.pool)
-    flux = photons.flux[others][order] * np.float32(step / (step - 1))
-    wi, history, rank = (
-        np.ascontiguousarray(column[others][order]) for column in (photons.wi, photons.history, photons.rank)
-    )
+    others = np.flatnonzero(~chosen)
+    position, normal = (column.take(others, axis=0) for column in (photons.tree.position, photons.tree.normal))
+    tree, order = grow_tree(position, normal, context.pool)
+    others = others[order]
+    flux = photons.flux.take(others, axis=0) * np.float32(step / (step - 1))
+    wi, history, rank = (column.take(others, axis=0) for column in (photons.wi, photons.history, photons.rank))
     rest = replace(photons, tree=tree, flux=flux, wi=wi, history=history, rank=rank, stored=len(flux))
     return replace(estimate, photons=rest, count=max(2, round(estimate.count * (step - 1) / step)))
 

@@ -212,7 +212,7 @@ class Recommendation(Document):
     basis           "predicted" where these settings were never measured
     saves_share     of the reference's energy, or of its time where the budget is in seconds
     steps           what changing one setting would do, as measured: the slopes at this budget
-    proposals       settings that promise to fit and to be better, best first: never measured, or too loosely to know
+    proposals       settings worth measuring, by the improvement to be expected: never measured, or too loosely to know
     """
 
     answer: Literal["settings", "none"]

@@ -171,7 +171,8 @@ def _differs_only_in(one: Candidate, other: Candidate, name: str) -> bool:
 
 def _close_call(case: Case, chosen: Candidate, runner_up: Candidate) -> list[str]:
     """Say so where the intervals do not tell the first from the second."""
-    named = settings(runner_up.changed) or runner_up.label
+    others = {n: v for n, v in runner_up.settings.items() if n not in NO_SETTINGS and chosen.settings.get(n) != v}
+    named = settings(others) or runner_up.label
     if pictures_agree(chosen, runner_up):
         return [f"The runner-up, {named}, gives the very same picture: what tells them apart does nothing here."]
     what, one, other = "difference", chosen.difference, runner_up.difference

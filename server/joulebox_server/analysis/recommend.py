@@ -7,7 +7,6 @@ predictions answer where no measured point fits or where they are asked for, and
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from joulebox_server.analysis.budgets import Budget
@@ -16,47 +15,14 @@ from joulebox_server.analysis.documents import UNITS, Axis, Choice, Recommendati
 from joulebox_server.analysis.errors import AnalysisError
 from joulebox_server.analysis.intervals import Interval
 from joulebox_server.analysis.lines import steps_from
+from joulebox_server.analysis.proposals import worth_measuring
 from joulebox_server.analysis.ratings import why_fragile
 from joulebox_server.analysis.reasons import Case, none_reasons, reasons
+from joulebox_server.analysis.terms import Terms
 from joulebox_server.analysis.words import figure
 
 PROPOSALS = 3
 """Better settings to confirm that an answer names unless more are asked for."""
-
-
-@dataclass(frozen=True)
-class Terms:
-    """What a recommendation is asked for; budget per image in the axis' unit, None for as cheap as can be."""
-
-    axis: Axis
-    budget: float | None
-    limit: float
-
-    def fits(self, candidate: Candidate) -> bool:
-        """Whether both upper bounds are within."""
-        return self._within(candidate.cost.high, candidate.difference.high)
-
-    def promises(self, candidate: Candidate) -> bool:
-        """Whether both values are within: what measuring it would probably show."""
-        return self._within(candidate.cost.value, candidate.difference.value)
-
-    def rank(self, candidate: Candidate) -> tuple[float, float, float, float, str]:
-        """Smaller is better; of two points one dominates, the dominated one ranks behind."""
-        cost, difference = candidate.cost, candidate.difference
-        first, second = (cost, difference) if self.budget is None else (difference, cost)
-        return first.high, second.high, first.value, second.value, candidate.key
-
-    def gain(self, candidate: Candidate) -> float:
-        """The value that is to be small."""
-        return candidate.cost.value if self.budget is None else candidate.difference.value
-
-    def overshoot(self, candidate: Candidate) -> float:
-        """By what factor the worse of the two upper bounds exceeds what is allowed."""
-        cost = 0.0 if self.budget is None else candidate.cost.high / self.budget
-        return max(cost, candidate.difference.high / self.limit)
-
-    def _within(self, cost: float, difference: float) -> bool:
-        return (self.budget is None or cost <= self.budget) and difference <= self.limit
 
 
 def recommend(
@@ -78,7 +44,7 @@ def recommend(
     difference_limit    in the trade-off's own unit; its acceptable limit unless given
     confidence          must be the one that the trade-off was built at; None takes that
     predict             rank predictions together with what was measured, rather than after it
-    proposals           how many settings to name that promise more but were not measured, or not surely enough
+    proposals           how many settings to name at most that are worth measuring, as they promise more
     told_budget         where the budget comes from, in words
     transferred         predictions from other devices' runs of configurations that this one has not run
     known               `candidates(tradeoff, axis)` where they have been found for another question already
@@ -100,15 +66,17 @@ def recommend(
     if not fitting and not predict:
         fitting = _fitting(terms, predicted)
     case = Case(tradeoff, terms.axis, terms.budget, terms.limit, told_budget, fitting, measured, predicted)
-    proposed = _proposals(tradeoff, terms, fitting[:1], [*measured, *predicted], proposals)
-    if not fitting:
+    chosen = fitting[0] if fitting else None
+    promising = worth_measuring(terms, chosen, [*measured, *predicted], tradeoff.confidence, proposals)
+    proposed = [_choice(tradeoff, candidate, terms) for candidate in promising]
+    if chosen is None:
         return _no_answer(case, terms, measured or predicted, proposed)
-    best = _choice(tradeoff, fitting[0], terms)
+    best = _choice(tradeoff, chosen, terms)
     return Recommendation(
         answer="settings",
         **_question(tradeoff, terms),
         why=reasons(case),
-        steps=steps_from(tradeoff, fitting[0].point, terms.axis) if fitting[0].point else [],
+        steps=steps_from(tradeoff, chosen.point, terms.axis) if chosen.point else [],
         runner_up=_choice(tradeoff, fitting[1], terms) if len(fitting) > 1 else None,
         proposals=proposed,
         **best.model_dump(exclude={"misses"}),
@@ -133,17 +101,6 @@ def _terms(tradeoff: Tradeoff, budget: Budget, difference_limit: float | None) -
 
 def _fitting(terms: Terms, known: Sequence[Candidate]) -> list[Candidate]:
     return sorted(filter(terms.fits, known), key=terms.rank)
-
-
-def _proposals(
-    tradeoff: Tradeoff, terms: Terms, chosen: Sequence[Candidate], known: Sequence[Candidate], count: int
-) -> list[Choice]:
-    """What promises to fit and to be better than what was chosen, but does not surely fit; the best first."""
-    level = min((terms.gain(candidate) for candidate in chosen), default=float("inf"))
-    promising = [c for c in known if c not in chosen and terms.promises(c) and terms.gain(c) < level]
-    loose = [c for c in promising if c.basis == "predicted" or not terms.fits(c)]
-    loose.sort(key=lambda candidate: (terms.gain(candidate), candidate.key))
-    return [_choice(tradeoff, candidate, terms) for candidate in loose[:count]]
 
 
 def _question(tradeoff: Tradeoff, terms: Terms) -> dict[str, Any]:

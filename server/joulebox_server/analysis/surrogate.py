@@ -25,10 +25,11 @@ from joulebox_server.analysis.scatter import factor
 MIN_POINTS = 8
 POINTS_PER_EFFECT = 2
 """Fewer measured points than this, or than two for each value that a setting was changed to, teach nothing."""
-DIFFERENCE_TAILS = 1.4
-"""By what factor intervals of predicted differences are wider than points that are left out show.
+COST_TAILS, DIFFERENCE_TAILS = 1.15, 1.4
+"""By what factor intervals of predictions are wider than points that are left out show.
 
-Those share the seeds of all others, and a seed's luck is not quite the same for every setting."""
+Those also served to choose how strong each setting's effect is; and of differences, they share the seeds of all others,
+and a seed's luck is not quite the same for every setting."""
 MAX_COMBINATIONS = 20_000
 """Of larger grids a sample of this many is looked at."""
 _TINY = 1e-6
@@ -63,7 +64,7 @@ class Surrogate:
         differences = [point.difference for point in self.points if point.difference is not None]
         shared = self._tradeoff.shared
         return (
-            _Fit(factors, codes, costs, shared.of(self._axis), self._tradeoff.confidence),
+            _Fit(factors, codes, costs, shared.of(self._axis), self._tradeoff.confidence, COST_TAILS),
             _Fit(factors, codes, differences, shared.difference_share, self._tradeoff.confidence, DIFFERENCE_TAILS),
         )
 
@@ -111,7 +112,7 @@ class _Fit:
         measured: Sequence[Interval],
         shared: float,
         confidence: float,
-        tails: float = 1.0,
+        tails: float,
     ) -> None:
         self._shared, self._normal, self._tails = shared, factor(confidence, math.inf), tails
         values = np.array([max(each.value, _TINY) for each in measured])

@@ -84,6 +84,8 @@ def _print_recommendation(found: dict[str, Any]) -> None:
             typer.echo(f"  fragile     {found['fragile']}")
     for reason in found["why"]:
         typer.echo(f"  - {reason}")
+    for step in found["steps"]:
+        typer.echo(f"  {_step(step)}")
     if found["runner_up"]:
         typer.echo(f"runner-up: {found['runner_up']['label']}")
     for choice in found["nearest"]:
@@ -91,6 +93,18 @@ def _print_recommendation(found: dict[str, Any]) -> None:
     for choice in found["proposals"]:
         told = "never measured" if choice["basis"] == "predicted" else "not known well enough"
         typer.echo(f"promises more, {told}: {choice['label']}: difference {quantity(choice['difference'], '')}")
+
+
+def _step(step: dict[str, Any]) -> str:
+    """What one setting changed to its next value would do, as measured."""
+    told = f"step to {step['setting']}={step['end']}:"
+    if step["same_picture"]:
+        told += " the very same picture,"
+    cost = "of unknown cost" if step["cost_ratio"] is None else f"{step['cost_ratio']:.3g} times the cost"
+    if step["difference_end"] is None:
+        return f"{told} {cost}"
+    slope = "" if step["slope"] is None else f", slope {step['slope']:.2g}"
+    return f"{told} {cost}, difference {step['difference_end']:.4g}{slope}{', a cliff' if step['cliff'] else ''}"
 
 
 def _energy(found: dict[str, Any]) -> str:

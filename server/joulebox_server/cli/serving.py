@@ -27,6 +27,7 @@ from joulebox_server.cli.connection import (
     write_private,
 )
 from joulebox_server.cli.output import print_json
+from joulebox_server.connections import PatientProtocol, raise_file_limit
 from joulebox_server.problems import field_errors
 from joulebox_server.settings import ServerSettings, is_loopback
 from joulebox_server.store import Store, tokens
@@ -68,11 +69,13 @@ def run_server(asked: Asked, as_json: bool) -> None:
 def _run(asked: Asked, settings: ServerSettings, listening: socket.socket, token: str | None, as_json: bool) -> None:
     scheme = "https" if settings.secure else "http"
     url = f"{scheme}://{_host_in_url(asked.host)}:{listening.getsockname()[1]}"
+    raise_file_limit()
     app = create_app(settings)
     config = uvicorn.Config(
         app,
         log_level="warning",
         access_log=False,
+        http=PatientProtocol,
         timeout_graceful_shutdown=GRACE_S,
         server_header=False,
         ssl_certfile=asked.tls_certificate,

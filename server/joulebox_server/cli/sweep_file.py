@@ -13,23 +13,36 @@ import httpx2
 from joulebox_server.cli.connection import WrongUseError, checked
 
 SCENE_FILE = "scene.xml"
+LARGEST_FILE_BYTES = 16 << 20
 ZIP_TIME = (1980, 1, 1, 0, 0, 0)
 """One time for every file, so that a folder always makes the same zip."""
 
 
 def read_sweep(path: Path) -> dict[str, Any]:
     """The definition in a TOML or JSON file, as it stands there. Raises WrongUseError."""
+    kind = "JSON" if path.suffix.lower() == ".json" else "TOML"
     try:
-        text = path.read_text(encoding="utf-8")
+        with path.open("rb") as file:
+            content = file.read(LARGEST_FILE_BYTES + 1)
+        text = content.decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise WrongUseError(f"the sweep file {path} cannot be read: {error}") from None
+    if len(content) > LARGEST_FILE_BYTES:
+        raise WrongUseError(f"the sweep file {path} is larger than {LARGEST_FILE_BYTES >> 20} MiB")
     try:
-        found = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
-    except (json.JSONDecodeError, tomllib.TOMLDecodeError) as error:
-        kind = "JSON" if path.suffix.lower() == ".json" else "TOML"
+        found = json.loads(text) if kind == "JSON" else tomllib.loads(text)
+    except RecursionError:
+        raise WrongUseError(f"the sweep file {path} is nested too deeply") from None
+    except ValueError as error:  # also of numbers with too many digits
         raise WrongUseError(f"the sweep file {path} is not valid {kind}: {error}") from None
     if not isinstance(found, dict):
         raise WrongUseError(f"the sweep file {path} must hold an object")
+    try:
+        json.dumps(found, allow_nan=False).encode()
+    except (TypeError, ValueError, RecursionError):  # TOML's dates, NaN, half a character
+        raise WrongUseError(
+            f"the sweep file {path} may hold texts, finite numbers, true, false, lists and tables only"
+        ) from None
     return found
 
 

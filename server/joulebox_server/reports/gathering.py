@@ -71,9 +71,11 @@ class Findings:
     views: Sequence[View]
 
     def methods(self) -> dict[str, str]:
-        """How each device's energies came about: its methods with their quality."""
+        """How each device's energies came about: its methods with their quality. Noise floors are never metered."""
         found: dict[str, dict[str, None]] = {}
         for row in csv.DictReader(io.StringIO(self.results_csv.decode())):
+            if row["purpose"] == "noise_floor":
+                continue
             told = "time only" if row["quality"] == "none" else f"{row['method']} ({row['quality']})"
             found.setdefault(row["device"], {})[told] = None
         return {device: ", ".join(told) for device, told in found.items()}

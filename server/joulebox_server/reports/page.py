@@ -50,6 +50,13 @@ class DrawnChart:
     svg: bytes
     png: bytes
 
+    @property
+    def stand_in(self) -> Markup:
+        """The address of the smaller of them: thousands of points make an SVG of megabytes."""
+        if len(self.svg) <= len(self.png):
+            return _data_address(self.svg, "image/svg+xml")
+        return _data_address(self.png, "image/png")
+
 
 def write(report: Report, folder: Path) -> list[Path]:
     """Write the page, its figures and its attachments into a folder, which is made; returns the files, page first.

@@ -34,7 +34,7 @@ def get_progress(services: ServicesOf, _: Viewer, sweep: Key) -> dict[str, Any]:
 
 
 @router.post("/sweeps:read", response_model=ReadSweep, responses=told(413))
-def read_sweep(services: ServicesOf, _: Operator, text: Text) -> dict[str, Any]:
+def read_sweep(services: ServicesOf, _: Operator, text: Text = "") -> dict[str, Any]:
     """A pasted sweep file, TOML or JSON, as the definition that `POST /sweeps` takes; makes nothing.
 
     Scenes that the file names by folder become those of the folder's name, where the server has one: the folder

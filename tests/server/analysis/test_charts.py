@@ -5,9 +5,11 @@ import json
 from xml.etree import ElementTree
 
 import pytest
-from joulebox_server.analysis.charts import render, stages_chart, tradeoff_chart
+from joulebox_server.analysis.candidates import Candidate
+from joulebox_server.analysis.charts import MOST_BARS, render, stages_chart, trace_chart, tradeoff_chart
 from joulebox_server.analysis.errors import AnalysisError
 from joulebox_server.analysis.frame import View
+from joulebox_server.analysis.trace import read_trace
 from measured import interval, point, small_sweep, tradeoff_of
 from PIL import Image
 
@@ -148,3 +150,66 @@ def test_nothing_is_fetched():
         text = json.dumps({key: value for key, value in spec.items() if key != "$schema"})
         assert "http" not in text
         assert '"url"' not in text
+
+
+def test_the_limit_and_the_budget_can_be_moved():
+    spec = tradeoff_chart(small_sweep(), View(limit=50, budget=21))
+    assert {param["name"]: param["value"] for param in spec["params"]} == {"limit": 50, "budget": 21}
+    assert {"acceptable below 50", "budget 21 J"} <= {*words(spec)}
+    for param in spec["params"]:
+        param["value"] = {"limit": 80, "budget": None}[param["name"]]
+    told = words(spec)
+    assert "acceptable below 80" in told
+    assert not any(text.startswith("budget") for text in told)
+    with pytest.raises(AnalysisError, match="the limit is 0, it must be"):
+        tradeoff_chart(small_sweep(), View(limit=0))
+
+
+def test_points_are_paled_by_setting():
+    spec = tradeoff_chart(small_sweep(), View(only={"photons": ["1,000", "5,000"]}))
+    assert [row["shown"] for row in points_of(spec)] == [True, False, True, False]
+    assert render(spec, "svg").decode().count('opacity="0.12"') == 2
+    with pytest.raises(AnalysisError, match="no setting is named photon"):
+        tradeoff_chart(small_sweep(), View(only={"photon": ["1"]}))
+
+
+def test_fragile_and_predicted_points_have_marks_of_their_own():
+    points = [
+        point(f"p{i}", interval(1 + i), interval(90 - i), settings={"n": i}, fragile="a cliff" if i == 1 else None)
+        for i in range(3)
+    ]
+    plain = words(tradeoff_chart(tradeoff_of([points[0]])))
+    assert not any(text.startswith(("fragile", "predicted")) for text in plain)
+    guess = Candidate(None, "n=9", {"n": 9}, {"n": 9}, interval(0.5, 0.1), interval(20, 5), None)
+    spec = tradeoff_chart(tradeoff_of(points), predictions=[guess])
+    assert {"fragile: a cliff is one step away", "predicted, not measured"} <= {*words(spec)}
+    assert spec["datasets"]["predictions"][0]["difference"] == "20 (15 to 25), predicted"
+
+
+def test_of_many_configurations_the_front_has_bars():
+    stages = {"direct": {"time_s": 1.0}}
+    many = [
+        point(f"p{i}", interval(1 + i), interval(90 - i if i % 3 else 200), settings={"n": i}, stages=stages,
+              on_front={"energy_j": bool(i % 3), "time_s": bool(i % 3)})
+        for i in range(90)
+    ]  # fmt: skip
+    spec = stages_chart(tradeoff_of(many, axes=["n"]), chosen="p3")
+    bars = {row["configuration"] for row in spec["data"]["values"]}
+    assert "p3" in bars
+    assert len(bars) <= MOST_BARS + 1
+    assert all(int(name[1:]) % 3 for name in bars - {"p3"})
+    assert f"{len(bars)} of 90, those on the front" in "".join(words(spec))
+
+
+def test_a_trace_is_thinned_and_says_what_does_not_count():
+    document = {"void_windows": [{"start_s": 0, "time_s": 1, "images": 1, "reason": "mains power appeared"}]}
+    lines = b"".join(b'{"time_s": %d, "power_w": 5}\n' % k for k in range(5000))
+    spec = trace_chart(small_sweep(), "photons=1000", read_trace(lines, document))
+    outlined, line = (layer["data"]["values"] for layer in spec["layer"])
+    assert outlined[0]["told"] == "does not count: mains power appeared"
+    assert 1000 < len(line) <= 2000
+    render(spec, "svg")
+    with pytest.raises(AnalysisError, match="line 2 of the samples must be an object with time_s"):
+        read_trace(b'{"time_s": 1, "power_w": 2}\n{"watts": 3}', {})
+    with pytest.raises(AnalysisError, match="hold no power"):
+        trace_chart(small_sweep(), "x", read_trace(b'{"time_s": 1}', {}))

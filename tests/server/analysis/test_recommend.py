@@ -1,7 +1,7 @@
 """Recommendations on cases decided by hand, and two laws that hold for any points."""
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from joulebox_server.analysis.budgets import budget_per_image_j
 from joulebox_server.analysis.documents import NoiseFloor
@@ -176,6 +176,7 @@ def drawn(values):
     ]
 
 
+@settings(deadline=None)
 @given(POINTS, BUDGETS, st.floats(5, 200))
 def test_a_recommended_point_never_breaks_a_bound(values, budget, limit):
     points = drawn(values)
@@ -192,6 +193,7 @@ def test_a_recommended_point_never_breaks_a_bound(values, budget, limit):
         assert all(near.misses for near in found.nearest)
 
 
+@settings(deadline=None)
 @given(POINTS, BUDGETS, st.integers(0, 9), st.floats(0, 5), st.floats(0.01, 5))
 def test_a_dominated_point_never_changes_the_answer(values, budget, which, dearer, worse):
     points = drawn(values)
