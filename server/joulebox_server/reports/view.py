@@ -11,9 +11,8 @@ from joulebox_server.reports.wording import QUALITY_MEANS, cost_told, energy_tol
 
 SETTINGS = "settings"
 """The folder of recommended settings."""
-MOST_BARS = 30
 MOST_ROWS = 200
-"""Configurations in the page's own charts and tables; the CSV file has all."""
+"""Configurations in the page's own tables; the CSV file has all."""
 
 ROLES = {
     "recommended": "Recommended",
@@ -35,7 +34,7 @@ def view_section(view: View, name: str, csv_name: str, heading: str) -> Section:
             "What it costs and what it changes", f"{name}-tradeoff", [_tradeoff_chart(tradeoff, name)], label=label
         ),
         Section("Which settings to take", f"{name}-answer", _answer(view, settings_file(name)), label=label),
-        Section("Where the cost goes", f"{name}-stages", [_stages_chart(tradeoff, name)]),
+        Section("Where the cost goes", f"{name}-stages", [_stages_chart(view, name)]),
         Section("What each setting does", f"{name}-ratings", _ratings(tradeoff)),
         Section("How the pictures look", f"{name}-pictures", _pictures(view, name)),
         Section("All configurations", f"{name}-points", [_points_table(tradeoff, csv_name)], label=label),
@@ -100,16 +99,14 @@ def _tradeoff_chart(tradeoff: Tradeoff, name: str) -> Block:
     return Chart(f"{name}-tradeoff", charts.tradeoff_chart(tradeoff, frame.View(x=tradeoff.main_axis)), caption, alt)
 
 
-def _stages_chart(tradeoff: Tradeoff, name: str) -> Block:
-    shown = _spread_over(tradeoff.points, MOST_BARS)
-    drawn = tradeoff.model_copy(update={"points": shown})
-    if not any(point.stages for point in shown):
+def _stages_chart(view: View, name: str) -> Block:
+    tradeoff = view.tradeoff
+    if not any(point.stages for point in tradeoff.points):
         return Words("The renderer told nothing of its stages.", "notice")
-    some = "" if len(shown) == len(tradeoff.points) else f" {len(shown)} of {len(tradeoff.points)} configurations."
-    caption = f"What each stage of an image costs, the cheapest configuration first and the reference last.{some}"
-    largest = max(shown, key=lambda p: p.time_s.value)
-    alt = f"Stacked bars of {len(shown)} configurations by stage; the dearest is {largest.label}."
-    return Chart(f"{name}-stages", charts.stages_chart(drawn), caption, alt)
+    chosen = view.recommendation.configuration_id if view.recommendation else None
+    caption = "What each stage of an image costs, the cheapest configuration first and the reference last."
+    alt = f"Stacked bars of the stages' costs of {tradeoff.scene} on {tradeoff.device}, a bar a configuration."
+    return Chart(f"{name}-stages", charts.stages_chart(tradeoff, chosen=chosen), caption, alt)
 
 
 def _spread_over(points: Sequence[Point], most: int) -> list[Point]:
