@@ -1,26 +1,17 @@
 """A sweep's report opened as a file in a real browser: it draws its charts and asks nobody for anything."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip("playwright.sync_api", reason="the report's tests need the playwright package")
 
-from browser import opened, started_browser
+from browser import opened
 from fleet_fixture import running_fleet
 from joulebox_server.reports.gathering import Asked, gather
 from joulebox_server.reports.page import write
 from joulebox_server.reports.sweep import sweep_report
 from playwright.sync_api import Browser, expect
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with started_browser() as found:
-        if found is None:
-            pytest.skip("no browser is installed: chromium, chromium-browser, google-chrome or Playwright's own")
-        yield found
 
 
 @pytest.fixture(scope="module")
