@@ -35,7 +35,7 @@ FRONT: list[Values] = [
      "gather_distance_m": 0.03, "caustic_photons": 60_000},
     {"irradiance_cache_tolerance": 1.5, "final_gather_rays": 484},
     {"irradiance_cache_tolerance": 1.2, "samples_per_pixel": 4},
-    {"irradiance_cache_tolerance": 1.5, "final_gather_rays": 400},
+    {"irradiance_cache_tolerance": 1.5, "final_gather_rays": 441},
     {"final_gather_rays": 400},
     {"final_gather_rays": 400, "global_photons": 200_000},
     {"irradiance_cache_tolerance": 0.3},
