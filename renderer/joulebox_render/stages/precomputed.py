@@ -152,7 +152,7 @@ def estimate_apart(others: DensityEstimate, points: Points) -> tuple[F4, U1]:
     estimates = others(points.position, points.normal, probe_keys(points))
     few = np.ascontiguousarray(estimates.witness[:, ::FEW_WITNESSES_STEP])
     share = share_in_sight(context, others.photons, points.position, points.normal, few)
-    sampled, _ = sample_lights(context, points._replace(albedo=np.full_like(points.albedo, math.pi)), 0, count, 1)
+    sampled = sample_lights(context, points._replace(albedo=np.full_like(points.albedo, math.pi)), 0, count, 1)
     return estimates.irradiance + sampled.astype(np.float32), (share < 1).view(np.uint8)
 
 
