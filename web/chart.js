@@ -23,8 +23,7 @@ function inPageColours({ datasets, usermeta, ...spec }) {
     const name = value === "#ffffff" && !halo ? null : PAPER_COLOURS[value];
     return name ? style.getPropertyValue(name).trim() : value;
   }));
-  // A chart is one picture with one description; its table is what a screen reader goes through, not its marks.
-  const config = { ...recoloured.config, aria: false, background: "transparent", font: getComputedStyle(document.body).fontFamily };
+  const config = { ...recoloured.config, background: "transparent", font: getComputedStyle(document.body).fontFamily };
   const screen = document.documentElement.clientWidth;
   if (screen < 600) {
     config.legend = { ...config.legend, columns: 2, labelLimit: 190, labelFontSize: 11, layout: { bottom: { direction: "vertical" } } };
@@ -62,7 +61,7 @@ export function chartIn(box, { onPick, onDrawn, lines = [] } = {}) {
       const { vegaEmbed } = await chartLibrary();
       if (turn !== latest) return undefined;
       const spec = { ...inPageColours(JSON.parse(text)), description };
-      const canvas = el("div", { class: "canvas" });
+      const canvas = el("div", { class: "canvas", "aria-hidden": "true" }); // until it is one picture with a description
       const stage = el("div", { class: "stage" }, canvas, ring, lines);
       fill(box, stage); // in the page before it is drawn, because its width is its container's
       const result = await vegaEmbed(canvas, spec, {
@@ -77,6 +76,7 @@ export function chartIn(box, { onPick, onDrawn, lines = [] } = {}) {
         picture.setAttribute("role", "img");
         picture.setAttribute("aria-label", description);
       }
+      canvas.removeAttribute("aria-hidden");
       view.addEventListener("click", (event, item) => onPick?.(item?.datum ?? null, nearestIn(view, event)));
       view.addResizeListener(() => requestAnimationFrame(place));
     } catch (error) {
