@@ -60,7 +60,7 @@ export function chartIn(box, { onPick, onDrawn, lines = [] } = {}) {
     try {
       const { vegaEmbed } = await chartLibrary();
       if (turn !== latest) return undefined;
-      const spec = { ...inPageColours(JSON.parse(text)), description };
+      const spec = inPageColours(JSON.parse(text));
       const canvas = el("div", { class: "canvas", "aria-hidden": "true" }); // until it is one picture with a description
       const stage = el("div", { class: "stage" }, canvas, ring, lines);
       fill(box, stage); // in the page before it is drawn, because its width is its container's
@@ -72,11 +72,10 @@ export function chartIn(box, { onPick, onDrawn, lines = [] } = {}) {
       if (turn !== latest) return result.finalize();
       view?.finalize();
       view = result.view;
-      for (const picture of canvas.querySelectorAll("svg, canvas")) {
-        picture.setAttribute("role", "img");
-        picture.setAttribute("aria-label", description);
-      }
+      for (const picture of canvas.children) picture.setAttribute("aria-hidden", "true"); // marks are read from the table
       canvas.removeAttribute("aria-hidden");
+      canvas.setAttribute("role", "img");
+      canvas.setAttribute("aria-label", description);
       view.addEventListener("click", (event, item) => onPick?.(item?.datum ?? null, nearestIn(view, event)));
       view.addResizeListener(() => requestAnimationFrame(place));
     } catch (error) {
