@@ -23,8 +23,7 @@ function inPageColours({ datasets, usermeta, ...spec }) {
     const name = value === "#ffffff" && !halo ? null : PAPER_COLOURS[value];
     return name ? style.getPropertyValue(name).trim() : value;
   }));
-  // A chart is one picture with one description; its table is what a screen reader goes through, not its marks.
-  const config = { ...recoloured.config, aria: false, background: "transparent", font: getComputedStyle(document.body).fontFamily };
+  const config = { ...recoloured.config, background: "transparent", font: getComputedStyle(document.body).fontFamily };
   const screen = document.documentElement.clientWidth;
   if (screen < 600) {
     config.legend = { ...config.legend, columns: 2, labelLimit: 190, labelFontSize: 11, layout: { bottom: { direction: "vertical" } } };
@@ -61,8 +60,8 @@ export function chartIn(box, { onPick, onDrawn, lines = [] } = {}) {
     try {
       const { vegaEmbed } = await chartLibrary();
       if (turn !== latest) return undefined;
-      const spec = { ...inPageColours(JSON.parse(text)), description };
-      const canvas = el("div", { class: "canvas" });
+      const spec = inPageColours(JSON.parse(text));
+      const canvas = el("div", { class: "canvas", "aria-hidden": "true" }); // until it is one picture with a description
       const stage = el("div", { class: "stage" }, canvas, ring, lines);
       fill(box, stage); // in the page before it is drawn, because its width is its container's
       const result = await vegaEmbed(canvas, spec, {
@@ -73,10 +72,10 @@ export function chartIn(box, { onPick, onDrawn, lines = [] } = {}) {
       if (turn !== latest) return result.finalize();
       view?.finalize();
       view = result.view;
-      for (const picture of canvas.querySelectorAll("svg, canvas")) {
-        picture.setAttribute("role", "img");
-        picture.setAttribute("aria-label", description);
-      }
+      for (const picture of canvas.children) picture.setAttribute("aria-hidden", "true"); // marks are read from the table
+      canvas.removeAttribute("aria-hidden");
+      canvas.setAttribute("role", "img");
+      canvas.setAttribute("aria-label", description);
       view.addEventListener("click", (event, item) => onPick?.(item?.datum ?? null, nearestIn(view, event)));
       view.addResizeListener(() => requestAnimationFrame(place));
     } catch (error) {

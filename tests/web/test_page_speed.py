@@ -13,7 +13,7 @@ COUNT = 2000
 FIRST_PAINT_MS = 1500
 FIRST_LOAD_BYTES = 1_500_000
 ADDRESS = f"/#view=sweep&sweep={NAME}"
-DRAWN = "#tradeoff canvas[role=img]"
+DRAWN = "#tradeoff [role=img] canvas"
 
 
 @pytest.fixture(scope="module")

@@ -157,7 +157,8 @@ def _repeats_told(tradeoff: Tradeoff) -> str:
     repeats = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
     noun = "repeat" if counts == [1] else "repeats"
     size = f"{tradeoff.width} x {tradeoff.height} pixels"
-    return f"{repeats} {noun} a point, {tradeoff.confidence:.0%} intervals, {size}"
+    which = " on the front" if len(tradeoff.points) > layers.MANY_POINTS else ""
+    return f"{repeats} {noun} a point, {tradeoff.confidence:.0%} intervals{which}, {size}"
 
 
 def _bar_labels(tradeoff: Tradeoff, bars: Sequence[Point]) -> tuple[str, list[str]]:

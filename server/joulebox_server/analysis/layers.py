@@ -25,7 +25,7 @@ from joulebox_server.analysis.words import figure, quality_suffix
 _NUMBER = ",~r"
 _FIGURE = ",.3~r"
 MANY_POINTS = 400
-"""From here on points and intervals are drawn small and thin."""
+"""From here on points are drawn small, and intervals only on the front: thousands of bars hide everything."""
 
 POINTS, PREDICTIONS = "points", "predictions"
 """Datasets of a specification."""
@@ -127,11 +127,11 @@ def front_layer(shown: Frame, on: Axes) -> Any:
 
 
 def interval_layers(shown: Frame, on: Axes) -> list[Any]:
-    """The confidence intervals of every point that is looked at, both ways."""
-    many = len(shown.points) > MANY_POINTS
-    mark = {"color": palette.MUTED, "strokeWidth": 0.6 if many else 1.2}
-    there = alt.condition("datum.shown", alt.value(0.4 if many else 0.8), alt.value(0))
-    base = named(POINTS).mark_rule(**mark).encode(opacity=there)
+    """The confidence intervals of every point that is looked at, both ways; of many points, those on the front."""
+    base = named(POINTS).mark_rule(color=palette.MUTED, strokeWidth=1.2)
+    if len(shown.points) > MANY_POINTS:
+        base = base.transform_filter("datum.on_front")
+    base = base.encode(opacity=alt.condition("datum.shown", alt.value(0.8), alt.value(0)))
     return [
         base.encode(x=on.x("x_low"), x2="x_high:Q", y=on.y()),
         base.encode(x=on.x(), y=on.y("y_low"), y2="y_high:Q"),

@@ -213,3 +213,17 @@ def test_a_trace_is_thinned_and_says_what_does_not_count():
         read_trace(b'{"time_s": 1, "power_w": 2}\n{"watts": 3}', {})
     with pytest.raises(AnalysisError, match="hold no power"):
         trace_chart(small_sweep(), "x", read_trace(b'{"time_s": 1}', {}))
+
+
+def test_of_many_points_the_front_alone_has_intervals():
+    def bars(count):
+        points = [point(f"p{i}", interval(1 + i, 0.5), interval(500 + i % 7, 0.5)) for i in range(count)]
+        spec = tradeoff_chart(tradeoff_of(points, axes=[]))
+        drawn = ElementTree.fromstring(render(spec, "svg"))
+        groups = [g for g in drawn.iter(f"{SVG}g") if "mark-rule role-mark" in g.get("class", "")]
+        return max(len(list(g)) for g in groups), " ".join(words(spec))
+
+    assert bars(20)[0] == 20
+    count, told = bars(500)
+    assert count < 20
+    assert "95% intervals on the front" in told
