@@ -23,7 +23,7 @@ This page is written by `joulebox thesis --report-only -o DIR --markdown docs/th
 def claims_page(results: Results, batches: Sequence[Batch], judged: Mapping[str, Sequence[Judged]]) -> str:
     """The page of a run, as Markdown."""
     everything = [one for batch in batches for one in judged[batch.name]]
-    parts = [HEAD, "## How this run was made\n", _points(how_told(results))]
+    parts = [HEAD, "## How this run was made\n", _points(how_told(results, batches))]
     parts += ["## What to set\n", _points(advised(results, batches))]
     parts += ["## Claims\n", _table(claims_table(everything))]
     unmet = [one for one in everything if one.finding.verdict != "holds"]

@@ -38,7 +38,7 @@ def report_of(
         Section("Claims", "claims", [Words(_count(everything), "lede"), claims_table(everything)]),
         *([Section("Ratings of the settings", "ratings", [Words(RATED), rated])] if rated else []),
         *(_batch_section(pictures, results, batch, judged[batch.name]) for batch in batches),
-        Section("How this was made", "how", [Points(how_told(results))]),
+        Section("How this was made", "how", [Points(how_told(results, batches))]),
     ]
     subtitle = "The study that joulebox grew from, done again on this device"
     return Report("Energy-efficient photon mapping", subtitle, [section for section in sections if section.blocks])

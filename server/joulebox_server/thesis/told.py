@@ -1,6 +1,9 @@
 """Words that report and documentation share: what a run rests on, and where its intervals come from."""
 
+from collections.abc import Sequence
+
 from joulebox_server.analysis.words import figure
+from joulebox_server.thesis.batch import Batch, Plan
 from joulebox_server.thesis.results import Results
 
 BASES = {
@@ -10,11 +13,16 @@ BASES = {
 }
 
 
-def how_told(results: Results) -> list[str]:
+def how_told(results: Results, batches: Sequence[Batch]) -> list[str]:
     """How the run was made, in sentences."""
     told = [f"Costs are {BASES[results.basis]}."]
     if results.quick:
         told.append("It was a quick run: one render a configuration, and smaller pictures where a batch is dear.")
+    present = {row.sweep for row in results.rows}
+    planned = [sweep["name"] for batch in batches for sweep in batch.sweeps(Plan(results.quick))]
+    absent = [name for name in planned if name not in present]
+    if absent:
+        told.append(f"The run is not whole: {', '.join(absent)} not rendered, so what needs them is not judged.")
     spreads = results.scatters
     parts = [
         f"{name} by {figure(100 * (spread.bounds(1) - 1))} % ({spread.freedom} degrees of freedom)"
