@@ -116,6 +116,13 @@ def test_every_regime_has_its_seeds_and_all_figures_are_drawn():
     assert any("stay at irradiance_cache_tolerance 1.6" in sentence for sentence in stability.BATCH.advice(results))
 
 
+def test_one_setting_without_a_cliff_is_one_too_many():
+    """Gathering and direct visualisation differ too, which is a step of no line here."""
+    level = failing(difference=lambda scene, s: difference(scene, s | {"irradiance_cache_tolerance": 0.8}))
+    found = judge(FAILING["cliffs"], level).finding
+    assert (found.verdict, found.value.value) == ("fails", 4)
+
+
 def test_a_full_run_has_every_seed_everywhere():
     for sweep in stability.BATCH.sweeps(Plan(quick=False)):
         assert sweep["repeats"] >= SEEDS

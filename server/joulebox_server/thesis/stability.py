@@ -9,9 +9,10 @@ from joulebox_server.reports.document import Table
 from joulebox_server.thesis import quantities
 from joulebox_server.thesis.batch import Batch, Figure, Finding, Spec, Tile, Verdict
 from joulebox_server.thesis.claims import claims_of
-from joulebox_server.thesis.judging import between, every, finding, largest, ratio, told
+from joulebox_server.thesis.judging import between, every, finding, ratio, told
 from joulebox_server.thesis.ratings import limit_of
 from joulebox_server.thesis.results import MissingError, Results, compared, only
+from joulebox_server.thesis.scatter import interval_of
 from joulebox_server.thesis.spreads import clouds, strips
 from joulebox_server.thesis.stability_points import (
     LINES,
@@ -86,17 +87,21 @@ def _leak(results: Results) -> Finding:
 
 def _scale(results: Results) -> Finding:
     means = [compared(of(results, name).point) for name in ("tiny", "huge")]
-    apart = ratio(largest(means), min(means, key=lambda one: one.value))
+    # seed by seed: both rooms have the same seeds, so what these do to a picture says nothing of its size
+    pairs = zip(*(of(results, name).differences for name in ("tiny", "huge")), strict=True)
+    apart = interval_of([max(pair) / min(pair) for pair in pairs if min(pair) > 0], None)
     limit = of(results, "tiny").limit
     verdict = every([between(apart, high=1.1), *(between(mean, high=limit) for mean in means)])
     return finding(
-        apart, verdict, f"differences of {told(means[0])} and {told(means[1])}; the larger is, of the other,"
+        apart,
+        verdict,
+        f"differences of {told(means[0])} and {told(means[1])}; the larger is, seed by seed, of the other,",
     )
 
 
 def _cliffs(results: Results) -> Finding:
     tradeoff = lines_tradeoff(results)
-    with_cliff = [rated.setting for rated in tradeoff.ratings if rated.cliffs]
+    with_cliff = [rated.setting for rated in tradeoff.ratings if rated.cliffs and rated.setting in LINES]
     missing = [name for name in LINES if name not in {rated.setting for rated in tradeoff.ratings}]
     if missing:
         raise MissingError(f"no line of {', '.join(missing)} was rendered")
