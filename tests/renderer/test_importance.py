@@ -48,7 +48,7 @@ def pictures(monkeypatch: pytest.MonkeyPatch, render: Callable[..., Any]) -> Cal
     for module in (photon_map, precomputed):
         monkeypatch.setattr(module, "path_key", lambda _seed, *rest: path_key(0, *rest))
     monkeypatch.setattr(
-        integrator, "light_directly", lambda _context, points, *_: DirectLight(np.zeros((len(points.owner), 3)), 0, 0)
+        integrator, "light_directly", lambda _context, points, *_: DirectLight(np.zeros((len(points.owner), 3)), 0)
     )
     return lambda scene, **settings: np.array(
         [render(scene, seed=seed, **SETTINGS, **settings).pixels for seed in range(SEEDS)], np.float64
