@@ -122,7 +122,8 @@ def run(
     journal = Journal(as_json_line if as_json else as_text, state.doing)
     listener: Callable[[], ShownListener] = (lambda: Told(journal)) if as_json else shown_progress
     server, stop = Server(enrolment.server, enrolment.token), _stop_on_signals(stop_grace_s)
-    measures = not source.startswith("replay") and sysfs_root == SYSTEM_ROOT
+    # Who reads no energy of this machine may share it: a study times pictures on every core.
+    measures = source != "none" and not source.startswith("replay") and sysfs_root == SYSTEM_ROOT
     with state.lock(), machine_lock(machine_lock_file()) if measures else contextlib.nullcontext():
         Daemon(state, enrolment.device_id, server, command, options, stop, journal, listener).run()
 

@@ -142,7 +142,7 @@ def machine_lock(path: Path) -> Iterator[None]:
         if not _try_lock(file.fileno()):
             raise AgentError(
                 "Another joulebox-agent measures this machine, and two would measure each other; "
-                "stop it, or let this one use --source replay."
+                "stop it, or let this one use --source none."
             )
         yield
 
