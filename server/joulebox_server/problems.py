@@ -7,9 +7,10 @@ from typing import Any
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import JSONResponse
+from fastapi.responses import JSONResponse, Response
 from pydantic import ValidationError
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 
 from joulebox_server.analysis.errors import AnalysisError
 from joulebox_server.errors import (
@@ -54,6 +55,7 @@ HTTP_CODES = {
     413: "too_large",
     416: "range_not_satisfiable",
 }
+CLIENT_GONE = 499  # as many servers log a request whose client left
 PROBLEM_TYPE = "application/problem+json"
 RETRY_AFTER_S = 5
 LARGEST_ECHO = 60
@@ -127,6 +129,11 @@ def add_problem_handlers(app: FastAPI) -> None:
         response = problem(request, error.status_code, code, HTTPStatus(error.status_code).phrase, detail)
         response.headers.update(error.headers or {})
         return response
+
+    @app.exception_handler(ClientDisconnect)
+    async def gone(request: Request, error: Exception) -> Response:
+        log.info("request %s was given up by its client in mid-body", request_id_of(request))
+        return Response(status_code=CLIENT_GONE)  # for the log alone: nobody reads it
 
     @app.exception_handler(Exception)
     async def unexpected(request: Request, error: Exception) -> JSONResponse:

@@ -152,6 +152,25 @@ def test_bodies_that_come_a_byte_at_a_time(server: Server, address: tuple[str, i
     assert list(server.store.incoming_dir.iterdir()) == []
 
 
+def test_a_client_that_leaves_in_mid_body(
+    server: Server, address: tuple[str, int], caplog: pytest.LogCaptureFixture
+) -> None:
+    """Its own affair: told in one line of the log, not as a fault of the server with a traceback."""
+    device = server.device("leaves")
+    head = (
+        f"PUT /v1/blobs/{'0' * 64} HTTP/1.1\r\nHost: x\r\nContent-Length: 1000\r\n"
+        f"Authorization: {device.headers['Authorization']}\r\n\r\nx"
+    )
+    with caplog.at_level("INFO"):
+        half_sent(address, head.encode()).close()
+        ends_s = time.monotonic() + 20
+        while "was given up by its client" not in caplog.text and time.monotonic() < ends_s:
+            time.sleep(0.05)
+    assert "was given up by its client" in caplog.text
+    assert "Traceback" not in caplog.text
+    assert list(server.store.incoming_dir.iterdir()) == []
+
+
 def test_a_connection_that_never_asks(
     server: Server, address: tuple[str, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
