@@ -43,6 +43,6 @@ def how_told(results: Results, batches: Sequence[Batch]) -> list[str]:
         told.append(many + "Nothing else was rendered twice, so other intervals have no width and say nothing.")
     told.append(
         "Differences are to the batch's reference with the same seed, as in the thesis; the floor is what another seed "
-        "of the reference itself gives."
+        "of the reference itself gives. Beyond the thesis and where methods fail, the reference has a seed of its own."
     )
     return told
