@@ -116,8 +116,8 @@ def test_upper_bounds_hold_where_bare_values_break():
     held = known(GRIDS["cornell-boxes"], "A")
     strategies = {"ours": joulebox, "mean": mean_of_three, "once": measured_once}
     found = score(held, strategies, budget_question, seed=5, questions=40)
-    assert found["ours"].broken <= 3
-    assert found["once"].broken > 6
+    assert found["ours"].broken <= 1  # 3 % of 40 questions
+    assert found["once"].broken > 3 * found["ours"].broken
     assert found["ours"].answered + found["ours"].refused <= 40
 
 
