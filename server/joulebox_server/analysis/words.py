@@ -3,13 +3,15 @@
 from collections.abc import Mapping
 from typing import Any
 
+WRITTEN_OUT_BELOW = 1e12
+
 
 def figure(value: float) -> str:
-    """Three significant digits, thousands separated: 0.0123, 1.23, 123, 12,300."""
+    """Three significant digits, thousands separated: 0.0123, 1.23, 123, 12,300; 1e+12 and what no text has room for."""
     if value == 0:
         return "0"
     rounded = float(f"{value:.3g}")
-    if abs(rounded) >= 100:
+    if 100 <= abs(rounded) < WRITTEN_OUT_BELOW:
         return f"{rounded:,.0f}"
     return f"{rounded:.3g}"
 
