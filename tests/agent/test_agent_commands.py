@@ -3,6 +3,7 @@
 import contextlib
 import http.server
 import json
+import shlex
 import signal
 import stat
 import subprocess
@@ -165,9 +166,11 @@ def test_a_signal_stops_the_real_command_and_its_renderer(agent: Agent, tmp_path
     with on_a_socket(fleet) as url:
         for place in (state, other):
             place.save(Enrolment(server=url, device_id="device-1", token=TOKEN, name="me"))
-        words = ["run", "--renderer", RENDERER, "--source", "none", "--wait-s", "0", "--state-dir"]
-        command = program(tmp_path / "lock", *words)
-        process = subprocess.Popen([*command, str(state.root)], stderr=subprocess.PIPE, text=True)
+        words = ["run", "--renderer", RENDERER, "--wait-s", "0"]
+        command = program(tmp_path / "lock", *words, "--source", "none", "--state-dir", str(state.root))
+        meter = "exec:" + shlex.join([sys.executable, "-S", "-E", "-c", "print('{\"power_w\": 5}')"])
+        metering = program(tmp_path / "lock", *words, "--source", meter, "--state-dir", str(other.root))
+        process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
         assert process.stderr is not None
         lines = []
         try:
@@ -176,10 +179,11 @@ def test_a_signal_stops_the_real_command_and_its_renderer(agent: Agent, tmp_path
                 if "rendering cornell" in line:
                     break
             assert state.locked()
-            second, third = (
-                subprocess.run([*command, str(place.root)], capture_output=True, text=True, timeout=30, check=False)
-                for place in (state, other)
-            )
+            with machine_lock(tmp_path / "lock"):  # free until here: the first one reads no energy
+                second, third = (
+                    subprocess.run(run, capture_output=True, text=True, timeout=30, check=False)
+                    for run in (command, metering)
+                )
             told = json.loads(agent("status", "--state-dir", state.root, "--source", "none", "--json")[1])
             process.send_signal(signal.SIGTERM)
             rest = process.stderr.read()

@@ -43,7 +43,9 @@ AXES: dict[str, tuple[str, Sequence[Any], Values]] = {
     # Records of few rays are noisy: one sees the tolerance's own error where each has many.
     TOLERANCE: ("irradiance_cache_tolerance", (3.2, 1.6, 0.8, 0.4), {"final_gather_rays": 1024}),
     "samples a pixel": (
-        "samples_per_pixel", (1, 4, 9, 16, 25), {"irradiance_cache_tolerance": 0.0, "final_gather_rays": 16},
+        "samples_per_pixel",
+        (1, 4, 9, 16, 25),
+        {"irradiance_cache_tolerance": 0.0, "final_gather_rays": 16},
     ),
 }
 OURS, PRESETS, PATH, MITSUBA = "photon mapping", "its presets", "path", "Mitsuba path"

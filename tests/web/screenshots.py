@@ -28,8 +28,10 @@ IN_DOCS = {
 # Name of a picture -> its address over the recorded sweeps, and what is there once it has drawn itself.
 VIEWS = {
     "fleet": ("view=fleet", [".devices li"]),
-    "sweep": (f"sweep={GRID}&point={{point}}&budget=9", ["#recommendation .answer", "img[data-picture=delta]",
-              "#trace svg", "#stages svg"]),
+    "sweep": (
+        f"sweep={GRID}&point={{point}}&budget=9",
+        ["#recommendation .answer", "img[data-picture=delta]", "#trace svg", "#stages svg"],
+    ),
     "no-answer": (f"sweep={GRID}&budget=0.5", ["#recommendation .answer", "#stages svg"]),
     "failed": (f"sweep={FAILED}", ["#overview .error", "#stages svg"]),
     "compare": (f"view=compare&sweep={GRID}&point={{point}}&zoom=4&at=33,32", ["#compare .facts"]),
