@@ -174,6 +174,7 @@ def test_asks_for_a_token(browser: Browser, tmp_path: Path) -> None:
         sign_in(page, closed.viewer_token)
         expect(page.get_by_role("dialog")).to_be_hidden()
         page.get_by_role("button", name="cornell-grid").click()
+        expect(page.get_by_role("heading", name="cornell-grid")).to_be_visible()  # the points are its own now
         page.locator(POINTS).first.click(force=True)
         expect(page.locator("img[data-picture=delta]")).to_be_visible()
         page.get_by_role("link", name="Compare closely").click()
