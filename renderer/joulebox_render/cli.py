@@ -111,7 +111,11 @@ def jobs() -> None:
     from joulebox_render.loop import run_jobs
 
     command = typer.main.get_command(app)
-    run_jobs(sys.stdin, sys.stdout, lambda words: command.main(["loop", *words], "joulebox-render", standalone_mode=False))
+
+    def one(words: list[str]) -> bool:
+        return bool(command.main(["loop", *words], "joulebox-render", standalone_mode=False))
+
+    run_jobs(sys.stdin, sys.stdout, one)
 
 
 @app.command()

@@ -89,7 +89,7 @@ class Visit:
         """Adds windows to the recording. Raises RendererError, StoppedError."""
         arguments = [*self._job.arguments, "-o", str(self._job.image_file)]
         if not self._rule.meter:
-            arguments += ["--max-images", "1"]
+            arguments += ["--max-seconds", f"{self._rule.timed_s:g}"]
         words = self._meter.listener.words
         try:
             self._meter.load_changed()
@@ -142,6 +142,11 @@ class Visit:
             record.make_void(f"the picture changed between images ({at}): same settings must give same pixels", False)
             self._ending = "void"
         record.last_image = image
+        if not self._rule.meter:
+            record.images.append(image)
+            self._open = self._open or Window(image.start_s)
+            self._open.add(image, stages)
+            return
         if not self._warm:
             self._warm = True
             if record.warm_up is None:
