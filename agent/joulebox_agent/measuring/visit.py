@@ -11,10 +11,11 @@ from joulebox_agent.clock import Clock
 from joulebox_agent.conditions import Conditions
 from joulebox_agent.errors import RendererError
 from joulebox_agent.estimates.windows import Window
-from joulebox_agent.loop import STOP_WITHIN_S, DoneEvent, ImageEvent, ReadyEvent, RendererLoop, StageEvent
+from joulebox_agent.loop import DoneEvent, ImageEvent, ReadyEvent, RendererLoop, StageEvent
 from joulebox_agent.measuring.meter import LOOK_EVERY_S, Meter, StoppedError
 from joulebox_agent.measuring.recording import Recording, VoidWindow
 from joulebox_agent.measuring.rule import SLOWEST_REFRESH_S, MeasureRule
+from joulebox_agent.process import STOP_WITHIN_S
 
 LOOK_AT_REFRESH_S = 10.0
 MOST_VOID = 10  # void windows in a row, after which a configuration is not measurable here and now
