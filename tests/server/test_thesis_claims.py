@@ -289,7 +289,7 @@ def test_a_ratio_to_what_may_be_nothing_has_no_upper_bound():
     assert between(found, high=1e9) == "unclear"
     assert told(ratio(WIDE, NARROW)).startswith("0.5 (0 to 1.")
     assert told(ratio(found, NARROW)).endswith(" to no bound)")
-    assert told(ratio(NARROW, found)) == "2 (0 to 5.29)"
+    assert told(ratio(NARROW, found)) == "2 (0 to 5.36)"
     assert told(share(WIDE, NARROW)) == "0.333 (0 to 0.639)"
     assert told(ratio(NARROW, NARROW)) == "1 (0.695 to 1.44)"  # e^(hypot(ln 4/3, ln 5/4)), both ways
 
