@@ -6,24 +6,21 @@ that speaks this can be measured.
 """
 
 import json
-import queue
 import shlex
 import shutil
 import subprocess
 import sys
-import threading
-from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import IO, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from joulebox_agent.clock import Clock, SystemClock
-from joulebox_agent.errors import RendererError, RendererRefusedError, UsageError
+from joulebox_agent.errors import RendererError, UsageError
+from joulebox_agent.process import STOP_WITHIN_S, RendererProcess
 
 RENDERER = "joulebox-render"
-STOP_WITHIN_S = 10.0
 CLOCKS_AGREE_S = 30.0  # an event cannot arrive before it happened; this much later is another clock
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Duration = Annotated[float, Field(allow_inf_nan=False, ge=0)]
@@ -113,7 +110,7 @@ def ask_renderer(command: Sequence[str], *arguments: str, timeout_s: float = 120
 
 
 class RendererLoop:
-    """One running renderer. Use as a context manager: the process never outlives the block.
+    """One job of a renderer, in a process of its own. Use as a context manager: the process never outlives the block.
 
     on_words  called with each line the renderer writes to stderr (progress of its set-up)
     """
@@ -128,60 +125,23 @@ class RendererLoop:
         self._command = [*command, "loop", *arguments]
         self._clock = clock or SystemClock()
         self._on_words = on_words
-        self._lines: queue.Queue[tuple[float, str] | None] = queue.Queue()
-        self._words: deque[str] = deque(maxlen=20)
         self._number = 0
 
     def __enter__(self) -> "RendererLoop":
-        try:
-            # a session of its own: Ctrl-C reaches the agent alone, which then stops the renderer in order
-            self._process = subprocess.Popen(
-                self._command,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                text=True,
-                errors="replace",
-                start_new_session=True,
-            )
-        except OSError as error:
-            raise RendererError(f"{self._command[0]} cannot be started: {error.strerror}.") from error
-        assert self._process.stdout is not None
-        assert self._process.stderr is not None
-        self._threads = [
-            threading.Thread(target=self._read_events, args=(self._process.stdout,), daemon=True),
-            threading.Thread(target=self._read_words, args=(self._process.stderr,), daemon=True),
-        ]
-        for thread in self._threads:
-            thread.start()
+        self._process = RendererProcess(self._command, self._clock, self._on_words)
         return self
 
     def __exit__(self, *exc_info: object) -> None:
         self.stop()
-
-    def _read_events(self, stream: IO[str]) -> None:
-        for line in stream:
-            self._lines.put((self._clock.now_s(), line))
-        self._lines.put(None)
-
-    def _read_words(self, stream: IO[str]) -> None:
-        for line in stream:
-            if line.strip():
-                self._words.append(line.strip())
-                self._on_words(line.strip())
 
     def next_event(self, timeout_s: float) -> ReadyEvent | StageEvent | ImageEvent | DoneEvent | None:
         """The next event, None when none came within `timeout_s`.
 
         Raises RendererError when the process ended or wrote something else, RendererRefusedError for code 2.
         """
-        try:
-            item = self._lines.get(timeout=timeout_s)
-        except queue.Empty:
-            return None
+        item = self._process.next_line(timeout_s)
         if item is None:
-            self._lines.put(None)  # every later call meets the end again
-            raise self._end()
+            return None
         self._number += 1
         return self._parse(*item)
 
@@ -208,30 +168,6 @@ class RendererLoop:
                 "times must be time.perf_counter_ns() of this machine and lines must be flushed."
             )
 
-    def _end(self) -> RendererError:
-        """What to say about a process whose output ended."""
-        try:
-            code = self._process.wait(STOP_WITHIN_S)
-        except subprocess.TimeoutExpired:
-            return RendererError("The renderer closed its output and did not end.")
-        self._threads[1].join(STOP_WITHIN_S)
-        said = self._words[-1] if self._words else "it wrote nothing to stderr"
-        if code == 2:
-            return RendererRefusedError(f"The renderer refused: {said}")
-        if code == 0:
-            return RendererError("The renderer ended by itself (code 0) before the measurement was complete.")
-        return RendererError(f"The renderer died with code {code}: {said}")
-
     def stop(self, within_s: float = STOP_WITHIN_S) -> None:
         """Asks the renderer to end, and makes it after `within_s`. Safe to call again."""
-        if self._process.poll() is None:
-            self._process.terminate()
-            try:
-                self._process.wait(within_s)
-            except subprocess.TimeoutExpired:
-                self._process.kill()
-                self._process.wait()
-        for thread, stream in zip(self._threads, (self._process.stdout, self._process.stderr), strict=True):
-            thread.join(STOP_WITHIN_S)
-            if stream is not None and not thread.is_alive():
-                stream.close()
+        self._process.stop(within_s)

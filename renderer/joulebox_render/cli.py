@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -91,23 +90,32 @@ def loop(
     settings: FileOption = None,
     preset: PresetOption = None,
     define: DefineOption = None,
-) -> None:
+) -> bool:
     """Render again and again, writing JSON lines (ready, stage, image, done) for an energy meter."""
-    from joulebox_render.loop import run_loop
+    from joulebox_render.loop import StopSignals, run_loop
 
     _check_target(output, ".exr")
-    stop_asked: list[int] = []
-    for name in ("SIGTERM", "SIGINT"):
-        signal.signal(getattr(signal, name), lambda number, _frame: stop_asked.append(number))
-    with _session(scene, _settings(set_, settings, preset), define) as session:
+    with StopSignals() as stop, _session(scene, _settings(set_, settings, preset), define) as session:
+        stop.ends(session)
+        run_loop(session, sys.stdout, max_images, max_seconds, output, lambda: stop.asked)
+    return not stop.asked
 
-        def stop(number: int, _frame: object) -> None:
-            stop_asked.append(number)
-            session.stop()
 
-        for name in ("SIGTERM", "SIGINT"):
-            signal.signal(getattr(signal, name), stop)
-        run_loop(session, sys.stdout, max_images, max_seconds, output, lambda: bool(stop_asked))
+@app.command()
+def jobs() -> None:
+    """Do one `loop` after the other in one process: a job a line of standard input, a JSON array of its arguments.
+
+    A line `waiting` says that the next job can be told. A job that fails or is stopped ends the process, as it ends
+    `loop`; so do the end of standard input and a job that leaves a great deal of memory behind.
+    """
+    from joulebox_render.loop import run_jobs
+
+    command = typer.main.get_command(app)
+
+    def one(words: list[str]) -> bool:
+        return bool(command.main(["loop", *words], "joulebox-render", standalone_mode=False))
+
+    run_jobs(sys.stdin, sys.stdout, one)
 
 
 @app.command()

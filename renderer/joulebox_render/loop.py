@@ -1,22 +1,60 @@
 """Render again and again and say when each stage ran: the contract that an energy meter measures against.
 
-One JSON object a line on standard output; times are perf_counter_ns times in seconds.
+One JSON object a line on standard output; times are perf_counter_ns times in seconds. `run_jobs` does that for one job
+after the other, so that a short job does not pay for the start of a process.
 """
 
 from __future__ import annotations
 
 import json
+import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import TracebackType
 from typing import Any, TextIO
 
+import psutil
+
 from joulebox_render.clock import Interval
-from joulebox_render.errors import RenderError, StoppedError
+from joulebox_render.errors import RenderError, SettingsError, StoppedError
 from joulebox_render.images import write_exr
 from joulebox_render.session import Session
 
 PROTOCOL = 1
+MOST_KEPT_BYTES = 2 << 30
+"""Resident memory from which on a process does no further job: what freed arrays hold is not given back while it
+lives."""
+
+
+class StopSignals:
+    """SIGTERM and SIGINT ask for an end; a context manager, after which they mean what they did before."""
+
+    def __init__(self) -> None:
+        self.asked = False
+        self._session: Session | None = None
+        self._before: dict[signal.Signals, Any] = {}
+
+    def ends(self, session: Session) -> None:
+        """From now on an image under way is given up as well."""
+        self._session = session
+        if self.asked:
+            session.stop()
+
+    def __enter__(self) -> StopSignals:
+        self._before = {number: signal.signal(number, self._ask) for number in (signal.SIGTERM, signal.SIGINT)}
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _ask(self, number: int, frame: object) -> None:
+        self.asked = True
+        if self._session is not None:
+            self._session.stop()
 
 
 def run_loop(
@@ -68,6 +106,31 @@ def run_loop(
             "end_s": time.perf_counter(),
         },
     )  # fmt: skip
+
+
+def run_jobs(jobs: TextIO, out: TextIO, loop: Callable[[list[str]], bool]) -> None:
+    """Do each line of `jobs`, a JSON array of the loop command's arguments; `waiting` is written before each is read.
+
+    loop   runs one, and says whether it came to its own end; after one that was stopped nothing more is done
+    Raises SettingsError for a line that is no such array, and what `loop` raises.
+    """
+    while psutil.Process().memory_info().rss < MOST_KEPT_BYTES:
+        write_line(out, {"event": "waiting", "protocol": PROTOCOL})
+        line = jobs.readline()
+        if not line or not loop(_words_of(line)):
+            return
+
+
+def _words_of(line: str) -> list[str]:
+    try:
+        words = json.loads(line)
+    except ValueError:
+        words = None
+    if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
+        raise SettingsError(
+            f"a job is a JSON array of the arguments of `loop`, all of them texts, not {line.strip()[:80]!r}"
+        )
+    return words
 
 
 def _stage_writer(out: TextIO, image: int) -> Callable[[Interval], None]:

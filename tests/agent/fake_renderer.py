@@ -6,6 +6,7 @@ What it does is set through `--set`, as a renderer's settings are:
     gap_s=0        pause between images
     misbehave=...  die, garbage, number, hang, hang_at_once, flicker, backwards, other_clock, ignore_term, stop
     misbehave_at=3 image at which it does so
+`jobs` does one loop after the other, as the renderer's does; not with FAKE_ALONE=1 in the environment.
 `seed=...` goes into the pixel hash; any setting but these is refused with exit code 2, as a renderer would.
 """
 
@@ -35,7 +36,8 @@ def refuse(sentence):
 
 
 def parse(words):
-    options = {"settings": dict(KNOWN), "output": None, "max_images": None, "defines": {}, "scene": None}
+    options = {"settings": dict(KNOWN), "output": None, "max_images": None, "max_seconds": None, "defines": {},
+               "scene": None}  # fmt: skip
     words = list(words)
     while words:
         word = words.pop(0)
@@ -53,6 +55,8 @@ def parse(words):
             options["output"] = words.pop(0)
         elif word == "--max-images":
             options["max_images"] = int(words.pop(0))
+        elif word == "--max-seconds":
+            options["max_seconds"] = float(words.pop(0))
         elif options["scene"] is None and not word.startswith("-"):
             options["scene"] = word
         else:
@@ -132,8 +136,10 @@ def loop(words):
          build={"name": "fake-render", "version": "9.9", "intersector": "none", "isa": "x86-64-v3", "threads": 1},
          plan={"run": ["direct", "indirect"], "left_out": {"caustics": "no specular surface"}})  # fmt: skip
 
-    image = 0
+    image, began_s = 0, now_s()
     while options["max_images"] is None or image < options["max_images"]:
+        if image and options["max_seconds"] is not None and now_s() - began_s >= options["max_seconds"]:
+            break
         render(image, settings)
         image += 1
         if settings["gap_s"]:
@@ -142,9 +148,19 @@ def loop(words):
     tell(event="done", images=image, image_file=options["output"], end_s=now_s())
 
 
+def jobs():
+    tell(event="waiting", protocol=1)
+    while line := sys.stdin.readline():
+        loop(json.loads(line))
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        tell(event="waiting", protocol=1)
+
+
 if __name__ == "__main__":
     if sys.argv[1:2] == ["loop"]:
         loop(sys.argv[2:])
+    elif sys.argv[1:2] == ["jobs"] and os.environ.get("FAKE_ALONE") != "1":
+        jobs()
     elif sys.argv[1:2] == ["schema"]:
         print(json.dumps(SCHEMA))
     elif sys.argv[1:2] == ["--version"]:

@@ -81,7 +81,7 @@ def test_nothing_is_said_to_the_server_inside_a_measurement(state: StateDir, fle
 
 
 def test_an_unmetered_job_sends_a_picture(state: StateDir, fleet: FakeFleet) -> None:
-    fleet.add_job(1, fleet.add_scene(), meter=False, seed=5)
+    fleet.add_job(1, fleet.add_scene(), meter=False, seed=5, image_s=0.3)
     Bench(state, fleet, once=True).daemon.run()
     document = json.loads(fleet.results["attempt-1"])
     assert document["quality"] == "none"

@@ -112,15 +112,30 @@ def test_net_energy_needs_idle_time(tmp_path: Path) -> None:
     assert energy.net.low < 0 < energy.net.high  # window by window: it does not scatter with the pictures' times
 
 
-def test_without_a_meter_one_image_is_rendered(tmp_path: Path) -> None:
+def test_without_a_meter_one_long_image_is_rendered(tmp_path: Path) -> None:
     rule = RULE.model_copy(update={"meter": False, "min_windows": 1, "max_windows": 1})
-    record = measured(tmp_path, rule, image_s=0.1)
+    record = measured(tmp_path, rule, image_s=0.2)
     document = build_result(record, rule, tmp_path / "last.exr").document
     assert (document.images, document.windows, document.quality) == (1, 1, "none")
     assert document.image_blob is not None
     assert document.time_s_per_image is not None
-    assert record.warm_up is not None
-    assert document.time_s_per_image.value == record.warm_up.time_s >= 0.1
+    assert record.last_image is not None
+    assert document.time_s_per_image.value == record.last_image.time_s >= 0.2
+
+
+def test_without_a_meter_short_images_are_rendered_as_long_as_they_begin_in_the_window(tmp_path: Path) -> None:
+    rule = RULE.model_copy(update={"meter": False, "min_windows": 1, "max_windows": 1})
+    record = measured(tmp_path, rule, image_s=0.04)
+    document = build_result(record, rule, tmp_path / "last.exr").document
+    begins_s = [image.start_s - record.images[0].start_s for image in record.images]
+    assert document.images == len(begins_s) > 1
+    assert begins_s[-1] < rule.window_s  # the renderer's clock starts before its first image
+    assert document.time_s_per_image is not None
+    assert document.time_s_per_image.value == pytest.approx(
+        sum(image.time_s for image in record.images) / len(begins_s)
+    )
+    assert document.stages["indirect"].rays == 301
+    assert MeasureRule(meter=False).timed_s == 1.0  # whatever the window, not longer than this
 
 
 def test_the_time_limit_keeps_what_there_is(tmp_path: Path) -> None:

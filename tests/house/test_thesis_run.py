@@ -2,18 +2,20 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from joulebox_server.cli.connection import WrongUseError
-from joulebox_server.thesis import dv
+from joulebox_server.thesis import discharge, dv
 from joulebox_server.thesis.batch import Batch, Plan
 from joulebox_server.thesis.evaluation import write
-from joulebox_server.thesis.local import Local
+from joulebox_server.thesis.local import Local, can_meter
 from joulebox_server.thesis.study import Follower, Study
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals are those of POSIX")
@@ -38,11 +40,13 @@ def sweeps(plan: Plan) -> list[dict]:
 TINY_BATCH = Batch("tiny", "Tiny", "Two pictures.", sweeps, dv.FIGURES[4:5], ())
 
 
-def run(folder: Path, scenes: Path, show=lambda done, total, doing: None) -> Study:
-    """The tiny batch in a folder, to its end."""
-    study = Study.opened(folder, quick=True)
-    with Local(folder, 1, "none") as local:
+def run(folder: Path, scenes: Path, show=lambda done, total, doing: None, source: str = "none") -> Study:
+    """The tiny batch in a folder, to its end: quick, or metered by a source."""
+    study = Study.opened(folder, quick=source == "none", source=source)
+    with Local(folder, 1, source) as local:
         study.run([TINY_BATCH], local.connection, scenes, Follower(show, local.check))
+        if study.results().basis == "measured":
+            discharge.keep_measured(study.folder, local.connection, study.rows())
     return study
 
 
@@ -77,6 +81,58 @@ def test_a_killed_study_goes_on_and_measures_nothing_twice(root: Path, tmp_path:
     )
     written = write(study, [TINY_BATCH], None)
     assert {path.name for path in written.files} == {"report.html", "claims.json", "figure-29.svg", "figure-29.png"}
+
+
+LEAST_W, MOST_W = 12.2, 12.8
+METER = (
+    f"""exec:{sys.executable} -S -c 'import time; print("{{\\"power_w\\": %f}}" % ({LEAST_W} + time.time() % 0.6))'"""
+)
+"""An instrument that tells another value every time, as a real one does; a value that stands still is no reading."""
+
+
+@pytest.mark.parametrize(
+    ("source", "window_s", "basis"),
+    [pytest.param(METER, 3.5, "measured", marks=pytest.mark.long), ("replay@0.1", 0.6, "replayed")],
+)
+def test_a_metered_study_rests_on_joules(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, source: str, window_s: float, basis: str
+) -> None:
+    """The whole path of a full run, with short windows: server, agent, meter, repeats, joules by stage, discharge."""
+    rules = {"window_s": window_s, "min_windows": 2, "max_windows": 2, "max_seconds": 60.0}
+    monkeypatch.setattr("joulebox_server.thesis.study.METERED", rules)
+    monkeypatch.setattr("joulebox_server.thesis.study.FULL_REPEATS", 1)
+    assert can_meter(source)
+    study = run(tmp_path / "out", root / "scenes", source=source)
+    assert study.metered
+    results = study.results()
+    assert (results.basis, results.unit) == (basis, "J")
+    rows = [row for row in results.rows if row.purpose in ("measure", "reference", "control")]
+    assert len(rows) == 4
+    for row in rows:
+        assert row.image.energy_j is not None
+        if basis == "measured":
+            # a window's energy is that of its wall time; between pictures a little of it belongs to none
+            assert LEAST_W * row.image.time_s <= row.image.energy_j <= 1.25 * MOST_W * row.image.time_s
+        by_stage = [cost.energy_j for cost in row.stages.values()]
+        assert 0.5 * row.image.energy_j < sum(by_stage) <= row.image.energy_j * 1.001
+    if basis == "measured":
+        watts = [power_w for _, power_w in study.results().discharge.samples]
+        assert len(set(watts)) > 2
+        assert all(LEAST_W <= power_w <= MOST_W for power_w in watts)
+    judged = write(study, [replace(TINY_BATCH, claims=dv.CLAIMS[1:2])], None).judged
+    assert [one.basis for one in judged] == [basis]
+
+
+@pytest.mark.parametrize(
+    ("source", "sentence"),
+    [
+        ("gauge", "--source gauge: There is no energy source 'gauge'; known are auto"),
+        ("exec:/nowhere/meter", "--source exec:/nowhere/meter: it cannot be read here"),
+    ],
+)
+def test_a_source_that_cannot_meter_is_refused_before_the_study_begins(source: str, sentence: str) -> None:
+    with pytest.raises(WrongUseError, match=re.escape(sentence)):
+        can_meter(source)
 
 
 def test_a_server_that_dies_is_a_sentence(root: Path, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
 import signal
@@ -12,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 from command_line import COMMAND, QUICK, run
 from joulebox_render.images import read_exr
@@ -137,3 +139,78 @@ def test_a_reader_that_goes_away_ends_the_loop_quietly() -> None:
     assert process.wait(timeout=60) == 1
     assert process.stderr.read() == ""
     process.stderr.close()
+
+
+def do_jobs(*jobs: object) -> subprocess.CompletedProcess[str]:
+    """`jobs` with a line for each: a list is a job's arguments, a text goes as it is."""
+    told = "".join((job if isinstance(job, str) else json.dumps([str(word) for word in job])) + "\n" for job in jobs)
+    return subprocess.run([*COMMAND, "jobs"], input=told, capture_output=True, text=True, timeout=120, check=False)
+
+
+def test_jobs_in_one_process_give_the_pixels_of_their_own(
+    spoken: tuple[list[dict[str, Any]], Path], tmp_path: Path
+) -> None:
+    """Each as it would alone, whatever was rendered before it: another scene, other settings, the same again."""
+    spheres = ["cornell-spheres", *QUICK, "--max-images", "1", "-o", tmp_path / "last.exr"]
+    done = do_jobs(spheres, ["point-light", *QUICK, "--max-images", "2"], spheres)
+    assert done.returncode == 0, done.stderr
+    lines = lines_of(done.stdout)
+    events = [line["event"] for line in lines if line["event"] != "stage"]
+    one = ["waiting", "ready", "image", "done"]
+    assert events == [*one, "waiting", "ready", "image", "image", "done", *one, "waiting"]
+    images = [line for line in lines if line["event"] == "image"]
+    alone = {line["pixel_sha256"] for line in spoken[0] if line["event"] == "image"}
+    assert {images[0]["pixel_sha256"], images[3]["pixel_sha256"]} == alone
+    assert images[1]["pixel_sha256"] == images[2]["pixel_sha256"] not in alone
+    assert hashlib.sha256(read_exr(tmp_path / "last.exr").astype("<f4").tobytes()).hexdigest() in alone
+
+
+@pytest.mark.parametrize(
+    ("job", "sentence"),
+    [
+        (["cornell-spheres", "--set", "widdth=8"], "setting 'widdth' is unknown: did you mean 'width'?"),
+        ("rendering, please", "a job is a JSON array of the arguments of `loop`"),
+        ('["cornell-spheres", 3]', "all of them texts, not '[\"cornell-spheres\", 3]'"),
+    ],
+)
+def test_a_bad_job_ends_the_process_with_its_sentence(job: object, sentence: str) -> None:
+    done = do_jobs(job, ["cornell-spheres", *QUICK, "--max-images", "1"])
+    assert done.returncode == 2
+    assert sentence in done.stderr
+    assert [line["event"] for line in lines_of(done.stdout)] == ["waiting"]
+
+
+def test_jobs_that_leave_too_much_memory_end_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    from joulebox_render import loop
+
+    out, done = io.StringIO(), []
+    monkeypatch.setattr(loop, "MOST_KEPT_BYTES", 2 * psutil.Process().memory_info().rss)
+
+    def one(words: list[str]) -> bool:
+        done.append(words)
+        monkeypatch.setattr(loop, "MOST_KEPT_BYTES", 1 if len(done) == 2 else loop.MOST_KEPT_BYTES)
+        return True
+
+    loop.run_jobs(io.StringIO('["a"]\n["b"]\n["c"]\n'), out, one)
+    assert done == [["a"], ["b"]]
+    assert len(lines_of(out.getvalue())) == 2
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no SIGTERM handlers on Windows")
+def test_sigterm_ends_jobs_at_work_and_at_rest() -> None:
+    """At work with the job's `done`, and nothing after it; at rest at once."""
+    for at_work in (True, False):
+        with subprocess.Popen([*COMMAND, "jobs"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdin is not None
+            assert process.stdout is not None
+            more = ["--set", "samples_per_pixel=4096", "--set", "shadow_rays=256"] if at_work else ["--max-images", "1"]
+            process.stdin.write(json.dumps(["cornell-boxes", *QUICK[:2], *more]) + "\n")
+            process.stdin.flush()
+            wanted = ["waiting", "ready"] if at_work else ["waiting", "ready", "stage", "image", "done", "waiting"]
+            while wanted:
+                event = json.loads(process.stdout.readline())["event"]
+                wanted = wanted[1:] if event == wanted[0] else wanted
+            process.send_signal(signal.SIGTERM)
+            rest = lines_of(process.communicate(timeout=20)[0])
+            assert [line["event"] for line in rest if line["event"] != "stage"] == (["done"] if at_work else [])
+            assert process.returncode == (0 if at_work else -signal.SIGTERM)

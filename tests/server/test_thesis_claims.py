@@ -1,11 +1,16 @@
 """The rules of the claims on rows of our invention: a world in which the thesis is right, and one for every fault."""
 
+import json
+
 import pytest
 from invented import invented, without
+from joulebox_server.analysis.intervals import Interval
 from joulebox_server.thesis import catalogue, caustics, direct, dv, fg, polygons, resolution
+from joulebox_server.thesis.batch import Finding
 from joulebox_server.thesis.discharge import Discharge
 from joulebox_server.thesis.dv_points import BOXES, DISTANCE_M
-from joulebox_server.thesis.verdicts import judge
+from joulebox_server.thesis.judging import between, ratio, share, told
+from joulebox_server.thesis.verdicts import Judged, judge
 
 # --- the thesis' world: stages cost and pictures differ as its figures have it --------------------------------------
 
@@ -270,3 +275,36 @@ def test_every_figure_is_drawn_and_every_batch_gives_advice(name):
         if isinstance(drawn, dict):
             assert "$schema" in drawn
     assert batch.advice(results)
+
+
+# --- intervals: what may be 0 leaves a ratio without an upper end ----------------------------------------------------
+
+WIDE, NARROW = Interval(value=2.0, low=0.0, high=5.0), Interval(value=4.0, low=3.0, high=5.0)
+
+
+def test_a_ratio_to_what_may_be_nothing_has_no_upper_bound():
+    found = ratio(NARROW, WIDE)
+    assert told(found) == "2 (0.765 to no bound)"
+    assert between(found, low=0.5) == "holds"
+    assert between(found, high=1e9) == "unclear"
+    assert told(ratio(WIDE, NARROW)).startswith("0.5 (0 to 1.")
+    assert told(ratio(found, NARROW)).endswith(" to no bound)")
+    assert told(ratio(NARROW, found)) == "2 (0 to 5.36)"
+    assert told(share(WIDE, NARROW)) == "0.333 (0 to 0.639)"
+    assert told(ratio(NARROW, NARROW)) == "1 (0.695 to 1.44)"  # e^(hypot(ln 4/3, ln 5/4)), both ways
+
+
+def test_a_bound_that_is_none_is_null_in_json():
+    finding = Finding(ratio(NARROW, WIDE), "", "unclear", "")
+    told_of = Judged(fg.BATCH.claims[0], "time", finding).document()["ours"]
+    assert (told_of["value"], told_of["high"]) == (2.0, None)
+    assert json.loads(json.dumps(told_of, allow_nan=False)) == told_of
+    bounded = Judged(fg.BATCH.claims[0], "time", Finding(WIDE, "", "unclear", "")).document()["ours"]
+    assert (bounded["low"], bounded["high"]) == (0.0, 5.0)
+
+
+def test_no_finding_ends_in_the_middle_of_a_sentence():
+    """Words get their number after a colon, which follows no comma and no preposition."""
+    for claim_id in CLAIMS:
+        words = verdict(claim_id, noise=0.2, basis="time").finding.words
+        assert not words.rsplit(":", 1)[0].endswith((",", " of", " by", " to", " that,")), words

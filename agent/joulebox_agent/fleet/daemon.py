@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from joulebox_agent.conditions import read_conditions
 from joulebox_agent.errors import AgentError, ServerUnreachableError, TokenRejectedError
@@ -53,8 +54,15 @@ class Daemon:
         self.delivery.spool.sweep()
         self.worker.clean()
         capabilities = describe_device(self._renderer, self._options.source, self._options.sysfs_root)
-        announced = False
         self._last_job_s = time.monotonic()  # asking the renderer about itself was not idleness
+        try:
+            self._work(capabilities)
+        finally:
+            self.worker.rest()
+        self._end()
+
+    def _work(self, capabilities: dict[str, Any]) -> None:
+        announced = False
         while not self._stop.asked.is_set() and not self._over():
             try:
                 if not announced:
@@ -71,7 +79,6 @@ class Daemon:
                 self._pause()
             if self._options.once:
                 break
-        self._end()
 
     def _over(self) -> bool:
         options = self._options
@@ -107,6 +114,7 @@ class Daemon:
         self._settle()
 
     def _idle(self, wait_s: float) -> None:
+        self.worker.rest()
         self._journal.lasts("idle", "The server has no job for this device.", quiet=not self._options.once)
         if not self._options.once:
             self._stop.asked.wait(min(wait_s, self._longest_wait_s()))
@@ -147,4 +155,5 @@ class Daemon:
         return max(0.0, min(self._options.wait_s, left_s))
 
     def _pause(self) -> None:
+        self.worker.rest()
         self._stop.asked.wait(self._pauses.next_s())

@@ -25,6 +25,7 @@ from joulebox_agent.fleet.server import Lease
 from joulebox_agent.fleet.spool import Entry
 from joulebox_agent.fleet.state import StateDir
 from joulebox_agent.fleet.stopping import Stop
+from joulebox_agent.kept import KeptRenderer
 from joulebox_agent.measuring.calibrating import calibration_for, companion_of
 from joulebox_agent.measuring.ledger import StageLedger
 from joulebox_agent.measuring.measure import Measurement
@@ -58,6 +59,7 @@ class Worker:
         self._attempts, self._delivery, self._stop = attempts, delivery, stop
         self._journal, self._listener = journal, listener
         self._ledger = StageLedger()
+        self._kept = KeptRenderer()
 
     def do(self, lease: Lease) -> bool:
         """Measures one job and keeps its result, or gives it back; False when a pause should follow.
@@ -88,6 +90,10 @@ class Worker:
             return False
         return True
 
+    def rest(self) -> None:
+        """Ends the renderer that waits for a job, since none is in sight."""
+        self._kept.close()
+
     def clean(self) -> None:
         """Removes what a killed agent left of its work."""
         shutil.rmtree(self._state.scratch, ignore_errors=True)
@@ -102,7 +108,7 @@ class Worker:
             root = self._options.sysfs_root
             measurement = Measurement(
                 job, rule, choice, listener, self._stop.at_once, root,
-                leave=self._stop.asked, companion=companion_of(choice, root),
+                make_loop=self._kept, leave=self._stop.asked, companion=companion_of(choice, root),
             )  # fmt: skip
             record = measurement.run()
             self._ledger.add(record)

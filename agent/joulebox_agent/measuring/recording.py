@@ -27,7 +27,7 @@ class Recording:
     warm_up       the first image after `ready`, outside every window
     windows       good ones; blocks[i] is the block that windows[i] belongs to
     voided        windows that a fault or a change of state made worthless
-    rest          the images after the last closed window, None without any
+    rest          the images after the last closed window, None without any; without a meter, all there are
     spent_s       time the renderer ran since its `ready`, over all its runs
     environment   True when `void` is the machine's doing (mains, sleep, sensor), not the renderer's
     idle          stretches (start_s, end_s) in which nothing rendered

@@ -8,6 +8,7 @@ from joulebox_agent.errors import UsageError
 from joulebox_agent.estimates.energies import ADVISED_REFRESHES
 
 LONG_WINDOW_S = 60.0  # whoever asks for less wants short windows, and is told what they are worth
+LONGEST_TIMED_S = 1.0  # a picture that takes as long is timed well by one
 SLOWEST_REFRESH_S = 30.0  # of a gauge that has not been seen to refresh yet
 
 
@@ -20,7 +21,8 @@ class MeasureRule(BaseModel):
     max_windows    never more than this, whatever the half-width asks for
     half_width     wanted half-width of the 95 % interval as a share of the mean
     max_seconds    time limit from the renderer's `ready` [s]
-    meter          False: one image, its time and CPU seconds, no energy
+    meter          False: time and CPU seconds alone, of one image, and of as many more as begin within a second,
+                   or within `window_s` where that is shorter
     idle_s         idle power is measured this long before and after [s]; 0: net energy stays unknown
     silence_s      longest silence of the renderer before it counts as hung [s]
     """
@@ -40,6 +42,11 @@ class MeasureRule(BaseModel):
     def refreshes_a_window(self) -> int:
         """Refreshes of the gauge that a window must hold; 0 where short windows were asked for."""
         return ADVISED_REFRESHES if self.window_s >= LONG_WINDOW_S else 0
+
+    @property
+    def timed_s(self) -> float:
+        """Without a meter no image begins later than this after the first [s]."""
+        return min(self.window_s, LONGEST_TIMED_S)
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:

@@ -11,10 +11,11 @@ from joulebox_agent.clock import Clock
 from joulebox_agent.conditions import Conditions
 from joulebox_agent.errors import RendererError
 from joulebox_agent.estimates.windows import Window
-from joulebox_agent.loop import STOP_WITHIN_S, DoneEvent, ImageEvent, ReadyEvent, RendererLoop, StageEvent
+from joulebox_agent.loop import DoneEvent, ImageEvent, ReadyEvent, RendererLoop, StageEvent
 from joulebox_agent.measuring.meter import LOOK_EVERY_S, Meter, StoppedError
 from joulebox_agent.measuring.recording import Recording, VoidWindow
 from joulebox_agent.measuring.rule import SLOWEST_REFRESH_S, MeasureRule
+from joulebox_agent.process import STOP_WITHIN_S
 
 LOOK_AT_REFRESH_S = 10.0
 MOST_VOID = 10  # void windows in a row, after which a configuration is not measurable here and now
@@ -89,7 +90,7 @@ class Visit:
         """Adds windows to the recording. Raises RendererError, StoppedError."""
         arguments = [*self._job.arguments, "-o", str(self._job.image_file)]
         if not self._rule.meter:
-            arguments += ["--max-images", "1"]
+            arguments += ["--max-seconds", f"{self._rule.timed_s:g}"]
         words = self._meter.listener.words
         try:
             self._meter.load_changed()
@@ -142,6 +143,11 @@ class Visit:
             record.make_void(f"the picture changed between images ({at}): same settings must give same pixels", False)
             self._ending = "void"
         record.last_image = image
+        if not self._rule.meter:
+            record.images.append(image)
+            self._open = self._open or Window(image.start_s)
+            self._open.add(image, stages)
+            return
         if not self._warm:
             self._warm = True
             if record.warm_up is None:

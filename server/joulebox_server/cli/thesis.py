@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from joulebox_server.cli.connection import JsonOption, TokenOption, connect
+from joulebox_server.cli.connection import JsonOption, TokenOption, WrongUseError, connect
 from joulebox_server.cli.output import print_json
 
 if TYPE_CHECKING:
@@ -36,6 +36,9 @@ def thesis(
         str | None,
         typer.Option(help="Server with devices of its own.", show_default="one started here for this machine"),
     ] = None,
+    source: Annotated[
+        str, typer.Option(help="What this machine meters with, as joulebox-agent run takes it (exec:COMMAND, rapl).")
+    ] = "auto",
     token: TokenOption = None,
     scenes: Annotated[
         Path | None, typer.Option(help="Folder of the scenes.", show_default="that of the checkout")
@@ -49,16 +52,19 @@ def thesis(
     """Do the study again that this project grew from: its figures, and which of its claims hold on this device."""
     # Here, because what draws charts takes seconds to import and the other commands need none of it.
     from joulebox_server.thesis import catalogue, evaluation
-    from joulebox_server.thesis.local import energy_source
+    from joulebox_server.thesis.local import can_meter
     from joulebox_server.thesis.study import Study
 
     chosen = catalogue.chosen(batch)
     if device is not None and server is None:
         server = connect(None, token).url  # a device's name means a server that runs
+    if source != "auto" and (quick or server is not None):
+        why = "a quick run meters nothing" if quick else "the devices of a server have sources of their own"
+        raise WrongUseError(f"--source {source}: {why}; leave it out")
     if report_only:
         study = Study.found(out)
     else:
-        study = Study.opened(out, quick, server, device, lambda: server is not None or energy_source() is not None)
+        study = Study.opened(out, quick, server, device, lambda: server is not None or can_meter(source), source)
         with _ended_by_signals():
             _run(study, chosen, token, scenes, quiet=as_json)
     written = evaluation.write(study, chosen, markdown)
@@ -83,7 +89,7 @@ def _run(study: "Study", chosen: "list[Batch]", token: str | None, scenes: Path 
             agents = min(MOST_AGENTS, _cores()) if study.quick else 1
             if not study.quick and not study.metered:
                 typer.echo("This machine can measure no energy, so the study rests on time.", err=True)
-            local = stack.enter_context(Local(study.folder, agents, "auto" if study.metered else "none"))
+            local = stack.enter_context(Local(study.folder, agents, study.source if study.metered else "none"))
             connection, check = local.connection, local.check
         if not study.quick and not quiet:
             low_s, high_s = study.expected_s(chosen, connection)

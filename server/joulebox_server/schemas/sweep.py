@@ -80,7 +80,8 @@ class MeasureRules(Document):
 
     With `meter = "few"` every configuration is timed, and only so many are metered as take `metered_windows`
     windows: their joules give the power of each stage, which prices the others. With `meter = "none"` every job is
-    one image and its time.
+    one image and its time, and of a short one as many as begin within a second, or within `window_s` where that is
+    less.
     """
 
     window_s: float = Field(default=60.0, gt=0, le=3600)

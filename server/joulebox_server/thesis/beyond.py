@@ -37,18 +37,20 @@ def _better(on: Point, off: Point, most_cost: float, least_gain: float, what: st
     """Whether the picture is better by so much at most so much more cost."""
     apart, cost = ratio(compared(on), compared(off)), ratio(on.cost, off.cost)
     verdict = every([between(apart, high=least_gain), between(cost, high=most_cost)])
-    return finding(apart, verdict, f"{what} costs {told(cost)} times as much, and the difference is, of doing without,")
+    return finding(
+        apart, verdict, f"{what} costs {told(cost)} times as much as without; its difference over that without"
+    )
 
 
 def _gradients(results: Results) -> Finding:
     tolerance = TOLERANCES[-1]
     on, off = (gradients(results, tolerance, on=value) for value in (True, False))
-    return _better(on, off, 1.1, 0.9, f"with gradients at tolerance {tolerance} an image")
+    return _better(on, off, 1.1, 0.9, f"an image with gradients at tolerance {tolerance}")
 
 
 def _sobol(results: Results) -> Finding:
     independent, sobol = (sampled(results, name, RAYS[-1]) for name in SAMPLERS)
-    return _better(sobol, independent, 1.1, 0.9, "Sobol's sequence")
+    return _better(sobol, independent, 1.1, 0.9, "a gather by Sobol's sequence")
 
 
 def _importance(results: Results) -> Finding:
@@ -61,7 +63,8 @@ def _hints(results: Results) -> Finding:
     creation, apart = (ratio(*pair) for pair in ((on.stage("photon_map"), off.stage("photon_map")),
                                                   (compared(on), compared(off))))  # fmt: skip
     verdict = every([between(creation, high=0.5), between(apart, high=1.1)])
-    return finding(creation, verdict, f"the difference is {told(apart)} of that without; map creation costs, of that,")
+    words = f"the difference is {told(apart)} times that without; the cost of map creation over that without"
+    return finding(creation, verdict, words)
 
 
 def path_cost_at(results: Results, difference: float) -> tuple[Interval, bool]:
@@ -99,8 +102,8 @@ def _against_paths(results: Results) -> Finding:
     verdict = between(times, low=2.0)
     if bound and verdict == "fails":
         verdict = "unclear"
-    words = f"final gathering differs by {told(compared(point))}; path tracing of that error costs, of it,"
-    return finding(times, verdict, f"{words} at least" if bound else words)
+    words = f"final gathering differs by {told(compared(point))}; the cost of path tracing of that error over its own"
+    return finding(times, verdict, f"{words}, at least" if bound else words)
 
 
 def _combined(results: Results) -> Finding:
@@ -109,10 +112,8 @@ def _combined(results: Results) -> Finding:
     cheapest = min((point.cost for point in singles), key=lambda cost: cost.value)
     saved, limit = ratio(whole.cost, cheapest), limit_of(whole)
     verdict = every([between(saved, high=0.8), between(compared(whole), high=limit)])
-    words = (
-        f"together they differ by {told(compared(whole))} where {limit:.4g} is acceptable; cost, of the cheapest alone,"
-    )
-    return finding(saved, verdict, words)
+    words = f"together they differ by {told(compared(whole))} where {limit:.4g} is acceptable"
+    return finding(saved, verdict, f"{words}; their cost over that of the cheapest alone")
 
 
 def _race(results: Results) -> Finding:
@@ -121,7 +122,7 @@ def _race(results: Results) -> Finding:
         raise MissingError("not every number of threads was rendered")
     one, two = (found[n] for n in THREADS)
     cost, time = ratio(two.cost, one.cost), ratio(wall_time(two), wall_time(one))
-    words = f"the time is {told(time)} of one thread's; the cost in {results.unit} is, of one thread's,"
+    words = f"the time is {told(time)} times one thread's; the cost in {results.unit} over one thread's"
     verdict = between(cost, high=0.95)
     if results.basis == "time":
         why = "needs joules: CPU seconds tell what threads add, and nothing of what a machine saves by idling sooner"

@@ -10,7 +10,7 @@ from joulebox_server.thesis.rows import Row
 
 FILE = "discharge.json"
 REPLAY = ("--source", "replay", "--window-s", "9", "--min-windows", "4", "--max-windows", "4",
-          "--set", "width=64", "--set", "height=64")  # fmt: skip
+          "--set", "width=64", "--set", "height=64", "--set", "threads=1")  # fmt: skip
 """Half a minute of the scripted trace, whose values change every 3 to 5 s as the thesis' gauge did."""
 
 

@@ -123,7 +123,7 @@ def _photon_cliff(results: Results) -> Finding:
     few, some, more = (compared(point) for point in _photons(results, BOXES, 50_000, 100_000, 175_000))
     step = difference(few, some)
     verdict = every([between(step, low=1000), between(some, high=100), between(more, high=100)])
-    words = f"100k photons differ by {told(some)}, 175k by {told(more)}; 50k differ more than 100k by"
+    words = f"100k photons differ by {told(some)}, 175k by {told(more)}; 50k differ by more than 100k, namely"
     return finding(step, verdict, words)
 
 

@@ -9,6 +9,9 @@ from joulebox_server.analysis.words import figure
 from joulebox_server.thesis.batch import Finding, Verdict
 from joulebox_server.thesis.results import MissingError
 
+UNBOUNDED = 1e300
+"""The upper end of an interval that has none: of what is divided by something that may be 0."""
+
 
 def ratio(one: Interval, other: Interval) -> Interval:
     """one / other, errors taken as independent and in proportion. Raises MissingError for a divisor of 0."""
@@ -17,9 +20,17 @@ def ratio(one: Interval, other: Interval) -> Interval:
     value = one.value / other.value
     if value <= 0:
         return exactly(0.0)
-    up = math.hypot(_log(one.high, one.value), _log(other.value, max(other.low, 1e-300)))
-    down = math.hypot(_log(one.value, max(one.low, 1e-300)), _log(other.high, other.value))
-    return Interval(value=value, low=value * math.exp(-down), high=value * math.exp(min(up, 700.0)))
+    low, high = 0.0, UNBOUNDED
+    if one.low > 0 and bounded(other):
+        low = value * math.exp(-math.hypot(_log(one.value, one.low), _log(other.high, other.value)))
+    if other.low > 0 and bounded(one):
+        high = value * math.exp(math.hypot(_log(one.high, one.value), _log(other.value, other.low)))
+    return Interval(value=value, low=low, high=high)
+
+
+def bounded(value: Interval) -> bool:
+    """Whether the interval has an upper end."""
+    return value.high < UNBOUNDED
 
 
 def share(part: Interval, rest: Interval) -> Interval:
@@ -27,7 +38,8 @@ def share(part: Interval, rest: Interval) -> Interval:
     if part.value <= 0:
         return exactly(0.0)
     over = ratio(rest, part)
-    return Interval(value=1 / (1 + over.value), low=1 / (1 + over.high), high=1 / (1 + over.low))
+    low = 1 / (1 + over.high) if bounded(over) else 0.0
+    return Interval(value=1 / (1 + over.value), low=low, high=1 / (1 + over.low))
 
 
 def difference(one: Interval, other: Interval) -> Interval:
@@ -90,9 +102,10 @@ def rises(values: Sequence[Interval]) -> Verdict:
 
 
 def told(value: Interval, unit: str = "") -> str:
-    """An interval in words: 3.84 J (3.72 to 3.96)."""
+    """An interval in words: 3.84 J (3.72 to 3.96), 1.2 (0.3 to no bound)."""
     text = f"{figure(value.value)} {unit}".strip()
-    return text if value.low == value.high else f"{text} ({figure(value.low)} to {figure(value.high)})"
+    high = figure(value.high) if bounded(value) else "no bound"
+    return text if value.low == value.high else f"{text} ({figure(value.low)} to {high})"
 
 
 def finding(value: Interval, verdict: Verdict, words: str, unit: str = "") -> Finding:

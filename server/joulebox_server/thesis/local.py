@@ -13,7 +13,7 @@ import sys
 import time
 from pathlib import Path
 
-from joulebox_server.cli.connection import ADDRESS_FILE, CommandError, Connection, connect
+from joulebox_server.cli.connection import ADDRESS_FILE, CommandError, Connection, WrongUseError, connect
 
 START_S = 60.0
 """How long a server may take to start."""
@@ -31,14 +31,24 @@ def agent_program() -> str:
     return found
 
 
-def energy_source() -> str | None:
-    """The source that this machine can measure with now; None where there is none."""
-    done = subprocess.run([agent_program(), "doctor", "--json"], capture_output=True, text=True, check=False)
+def can_meter(source: str) -> bool:
+    """Whether this machine can measure with a source now; with `auto`, whether with any.
+
+    Raises WrongUseError for a source that was asked for and is none, or cannot be read.
+    """
+    if source == "none":
+        return False
+    command = [agent_program(), "doctor", "--json", "--source", source]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode == 2:
+        raise WrongUseError(f"--source {source}: {_last_line(done.stderr).removeprefix(f'{AGENT}: ')}")
     try:
         chosen = json.loads(done.stdout)["chosen"]
     except (ValueError, KeyError) as error:
         raise CommandError(f"`{AGENT} doctor` gave no answer: {_last_line(done.stderr)}") from error
-    return None if chosen in (None, "none") else str(chosen)
+    if chosen is None and source != "auto":
+        raise WrongUseError(f"--source {source}: it cannot be read here; `{AGENT} doctor --source ...` says why")
+    return chosen not in (None, "none")
 
 
 class Local:

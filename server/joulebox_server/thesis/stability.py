@@ -15,13 +15,16 @@ from joulebox_server.thesis.results import MissingError, Results, compared, only
 from joulebox_server.thesis.scatter import interval_of
 from joulebox_server.thesis.spreads import clouds, strips
 from joulebox_server.thesis.stability_points import (
+    LEAK_SWEEPS,
     LINES,
+    LINES_SCENE,
+    LINES_SWEEP,
     SEEDS,
-    THICK_SWEEP,
     Found,
     found,
     line,
     lines_tradeoff,
+    method_of,
     of,
     sweeps,
 )
@@ -33,14 +36,14 @@ def _seed_tells(results: Results) -> Finding:
     spreads = {one.regime.name: one.stability.spread for one in found(results)}
     worst = max(spreads, key=lambda name: spreads[name].value)
     verdict = every([between(spread, high=0.1) for spread in spreads.values()])
-    return finding(spreads[worst], verdict, f"the widest is {worst}, whose standard deviation is of the mean")
+    return finding(spreads[worst], verdict, f"the widest is {worst}; its standard deviation over its mean")
 
 
 def _cost_tells(results: Results) -> Finding:
     spreads = {one.regime.name: one.cost_spread for one in found(results)}
     worst = max(spreads, key=lambda name: spreads[name].value)
     verdict = every([between(spread, high=0.05) for spread in spreads.values()])
-    return finding(spreads[worst], verdict, f"the widest is {worst}, whose standard deviation is of the mean")
+    return finding(spreads[worst], verdict, f"the widest is {worst}; its standard deviation over its mean")
 
 
 def _worst_seed(results: Results) -> Finding:
@@ -49,7 +52,9 @@ def _worst_seed(results: Results) -> Finding:
         raise MissingError("no regime differs from its reference")
     name = max(ratios, key=lambda regime: ratios[regime])
     value = exactly(ratios[name])
-    return finding(value, between(value, high=2.0), f"the worst seed of {name} differs, of its mean, by")
+    return finding(
+        value, between(value, high=2.0), f"the widest is {name}; the difference of its worst seed over the mean"
+    )
 
 
 def _beyond(results: Results, name: str, words: str) -> Finding:
@@ -73,16 +78,16 @@ def _radius(results: Results) -> Finding:
     best = min(differences, key=lambda one: one.value)
     ends = [ratio(end, best) for end in (differences[0], differences[-1])]
     at = points[differences.index(best)].settings["gather_distance_m"]
-    words = f"best at {setting(at)} m; the largest differs by {told(ends[1])} times as much, the smallest by"
+    words = f"best at {setting(at)} m; over that the largest differs {told(ends[1])} times as much, the smallest"
     return finding(ends[0], every([between(end, low=2.0) for end in ends]), words)
 
 
 def _leak(results: Results) -> Finding:
-    thin = of(results, "thin-wall")
-    thick = only(results.points(THICK_SWEEP))
-    times = ratio(compared(thin.point), compared(thick))
-    verdict = every([between(times, low=2.0), between(compared(thin.point), low=thin.limit)])
-    return finding(times, verdict, f"it differs by {told(compared(thin.point))}; of a wall of 0.05 m, by")
+    thin, thick = (only(results.points(sweep)) for sweep in LEAK_SWEEPS)
+    times = ratio(compared(thin), compared(thick))
+    verdict = every([between(times, low=2.0), between(compared(thin), low=limit_of(thin))])
+    words = f"a wall of 0.004 m differs by {told(compared(thin))}, one of 0.05 m by {told(compared(thick))}; the ratio"
+    return finding(times, verdict, words)
 
 
 def _scale(results: Results) -> Finding:
@@ -92,11 +97,8 @@ def _scale(results: Results) -> Finding:
     apart = interval_of([max(pair) / min(pair) for pair in pairs if min(pair) > 0], None)
     limit = of(results, "tiny").limit
     verdict = every([between(apart, high=1.1), *(between(mean, high=limit) for mean in means)])
-    return finding(
-        apart,
-        verdict,
-        f"differences of {told(means[0])} and {told(means[1])}; the larger is, seed by seed, of the other,",
-    )
+    words = f"differences of {told(means[0])} and {told(means[1])}; the larger over the other, seed by seed"
+    return finding(apart, verdict, words)
 
 
 def _cliffs(results: Results) -> Finding:
@@ -107,7 +109,8 @@ def _cliffs(results: Results) -> Finding:
         raise MissingError(f"no line of {', '.join(missing)} was rendered")
     count = exactly(float(len(with_cliff)))
     verdict: Verdict = "holds" if len(with_cliff) == len(LINES) else "fails"
-    return finding(count, verdict, f"of {len(LINES)}, cliffs are on {', '.join(with_cliff) or 'none'}: settings")
+    words = f"cliffs are on {', '.join(with_cliff) or 'none'}; of {len(LINES)} settings"
+    return finding(count, verdict, words)
 
 
 CLAIMS = claims_of(
@@ -251,17 +254,18 @@ FIGURES = (
 
 def advice(results: Results) -> list[str]:
     """Where not to go, from the cliffs."""
-    told_of = []
-    for rated in lines_tradeoff(results).ratings:
-        for cliff in rated.cliffs:
-            told_of.append(_warning(rated, cliff.start, cliff.end, cliff.difference_end))
-    return told_of
+    limit = limit_of(results.points(LINES_SWEEP)[0])
+    return [
+        _warning(rated, limit) for rated in lines_tradeoff(results).ratings if rated.cliffs and rated.setting in LINES
+    ]
 
 
-def _warning(rated: Rating, start: Any, end: Any, difference: float | None) -> str:
+def _warning(rated: Rating, limit: float) -> str:
+    """Every cliff of one setting, in a sentence."""
+    cliffs = "; ".join(_cliff_told(cliff) for cliff in rated.cliffs)
     return (
-        f"Where methods fail: stay at {rated.setting} {setting(start)}; one step on, at {setting(end)}, the difference "
-        f"is {figure(difference or 0.0)}."
+        f"Where methods fail: {method_of(rated.setting)} of {LINES_SCENE} falls off a cliff in {rated.setting}, the "
+        f"differences on both sides being, from {cliffs} ({figure(limit)} is acceptable)."
     )
 
 

@@ -93,12 +93,17 @@ LINES: Mapping[str, tuple[Mapping[str, Any], tuple[Any, ...]]] = {
     "samples_per_pixel": ({"indirect": "path"}, (1, 4, 16, 64)),
 }
 """Settings that are moved alone, from good to bad, and where the others stay meanwhile."""
-LINES_SWEEP, THICK_SWEEP = "stability-lines", "stability-thick-wall"
+LINES_SWEEP = "stability-lines"
 LINES_SCENE = "cornell-boxes"
+LEAK_SWEEPS = {"stability-leak-0.004": "0.004", "stability-leak-0.05": "0.05"}
+"""With and without a leak, by the wall's thickness [m]."""
+LEAK: Mapping[str, Any] = DIRECT_VISUALISATION | {"global_photons": 1_000_000, "gather_count": 1_000}
+"""So many photons that their noise is not all of the difference: with a tenth of them it hides the leak."""
+METHODS = {"direct_visualization": "direct visualisation", "path": "path tracing", "final_gather": "final gathering"}
 
 
 def sweeps(plan: Plan) -> list[Sweep]:
-    """One a scene, every regime on it with all seeds; then the lines, and a thick wall beside the thin one."""
+    """One a scene, every regime on it with all seeds; then the lines, and a thin wall beside a thick one."""
     made: dict[str, Sweep] = {}
     for regime in REGIMES:
         scene: Any = {"name": regime.scene, "defines": dict(regime.defines)} if regime.defines else regime.scene
@@ -106,10 +111,12 @@ def sweeps(plan: Plan) -> list[Sweep]:
         sweep["configurations"].append(dict(regime.settings))
     lines = _sweep(plan, LINES_SWEEP, LINES_SCENE, {}, plan.pick(1, SEEDS))
     lines["configurations"] = [{**rest, name: v} for name, (rest, values) in LINES.items() for v in values]
-    thick: Any = {"name": "thin-wall", "defines": {"thickness": "0.05"}}
-    wall = _sweep(plan, THICK_SWEEP, thick, {}, plan.pick(2, SEEDS))
-    wall["configurations"] = [dict(DIRECT_VISUALISATION)]
-    return [*made.values(), lines, wall]
+    return [*made.values(), lines, *(_leak_sweep(plan, name, wall_m) for name, wall_m in LEAK_SWEEPS.items())]
+
+
+def _leak_sweep(plan: Plan, name: str, wall_m: str) -> Sweep:
+    scene: Any = {"name": "thin-wall", "defines": {"thickness": wall_m}}
+    return _sweep(plan, name, scene, {}, plan.pick(5, SEEDS)) | {"configurations": [dict(LEAK)]}
 
 
 def _sweep(plan: Plan, name: str, scene: Any, base: dict[str, Any], repeats: int) -> Sweep:
@@ -184,6 +191,11 @@ def _fragile(tradeoff: Tradeoff, limit: float) -> str | None:
     """As a recommendation would say it of the one point there is; beyond the limit it would not be recommended."""
     only: TradePoint = tradeoff.points[0]
     return why_fragile(tradeoff, only, limit)
+
+
+def method_of(name: str) -> str:
+    """The method whose setting a line moves."""
+    return METHODS[LINES[name][0].get("indirect", "final_gather")]
 
 
 def line(results: Results, name: str) -> list[Point]:

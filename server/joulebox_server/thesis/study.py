@@ -35,7 +35,10 @@ PATIENCE = 20
 
 @dataclass(frozen=True)
 class Study:
-    """What a folder holds: one run, quick or full, on one server; `metered` unless nothing could meter at its start."""
+    """What a folder holds: one run, quick or full, on one server; `metered` unless nothing could meter at its start.
+
+    source   of the agent that is started here: `auto`, or one that was asked for
+    """
 
     folder: Path
     id: str
@@ -43,6 +46,7 @@ class Study:
     server: str | None
     device: str | None
     metered: bool
+    source: str = "auto"
 
     @property
     def plan(self) -> Plan:
@@ -57,6 +61,7 @@ class Study:
         server: str | None = None,
         device: str | None = None,
         can_meter: Callable[[], bool] = lambda: True,
+        source: str = "auto",
     ) -> "Study":
         """The study in a folder, a new one in an empty or new folder. `can_meter` is asked for a new one that is full.
 
@@ -74,11 +79,12 @@ class Study:
                     "server": server,
                     "device": device,
                     "metered": not quick and can_meter(),
+                    "source": source,
                 }
                 _write(folder / STUDY_FILE, json.dumps(known, indent=1) + "\n")
         except OSError as error:
             raise WrongUseError(f"{error.filename or folder} cannot be used: {error.strerror}") from None
-        wanted = {"quick": quick, "server": server, "device": device}
+        wanted = {"quick": quick, "server": server, "device": device, "source": source}
         for name, value in wanted.items():
             if known[name] != value:
                 was = "was started" + (f" with --{name}" if known[name] else f" without --{name}")
@@ -278,7 +284,8 @@ def _known(folder: Path) -> dict[str, Any] | None:
         if not path.is_file():
             return None
         known = json.loads(path.read_text(encoding="utf-8"))
-        return {name: known[name] for name in ("id", "quick", "server", "device", "metered")}
+        names = ("id", "quick", "server", "device", "metered", "source")
+        return {name: known[name] for name in names}
     except OSError as error:
         raise WrongUseError(f"{path} cannot be read: {error.strerror}") from None
     except (ValueError, KeyError, TypeError):

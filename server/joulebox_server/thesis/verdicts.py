@@ -3,7 +3,9 @@
 from dataclasses import dataclass, replace
 from typing import Any
 
+from joulebox_server.analysis.intervals import Interval
 from joulebox_server.thesis.batch import Claim, Finding
+from joulebox_server.thesis.judging import bounded
 from joulebox_server.thesis.results import MissingError, Results
 
 BY_CONSTRUCTION = "on a time basis this is true by construction, so it says nothing"
@@ -27,7 +29,7 @@ class Judged:
             "thesis": self.claim.thesis,
             "rule": self.claim.rule,
             "ours": {
-                **(found.value.model_dump() if found.value else {"value": None, "low": None, "high": None}),
+                **_numbers(found.value),
                 "unit": found.unit,
                 "words": found.words,
             },
@@ -44,6 +46,13 @@ class Judged:
         if self.finding.verdict == "unclear":
             return self.finding.why or UNDECIDED
         return self.finding.why or self.claim.explanation
+
+
+def _numbers(value: Interval | None) -> dict[str, float | None]:
+    """For JSON, which has no infinity: a bound that is none is null."""
+    if value is None:
+        return {"value": None, "low": None, "high": None}
+    return {"value": value.value, "low": value.low, "high": value.high if bounded(value) else None}
 
 
 def judge(claim: Claim, results: Results) -> Judged:
