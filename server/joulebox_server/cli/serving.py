@@ -112,11 +112,7 @@ def _request_log(path: Path) -> Iterator[None]:
     """Write one JSON line a request to a file that is renewed at 10 MiB, or to standard error."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handler: logging.Handler = (
-            logging.StreamHandler()
-            if str(path) == "-"
-            else _RequestLog(path)
-        )
+        handler: logging.Handler = logging.StreamHandler() if str(path) == "-" else _RequestLog(path)
     except OSError as error:
         raise CommandError(f"the request log {path} cannot be written: {error.strerror}") from None
     log = logging.getLogger("joulebox.requests")
