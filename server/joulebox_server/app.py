@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator, Callable
 from concurrent.futures import Executor
 from contextlib import asynccontextmanager
 
-from fastapi import APIRouter, FastAPI
+from fastapi import FastAPI
 from prometheus_client import CollectorRegistry
 
 from joulebox_server import __version__
@@ -16,7 +16,7 @@ from joulebox_server.envelope import Envelope
 from joulebox_server.limits import BodyLimit
 from joulebox_server.metrics import StoreCollector
 from joulebox_server.pages import mount_pages
-from joulebox_server.problems import add_problem_handlers, told
+from joulebox_server.problems import add_problem_handlers
 from joulebox_server.routes import (
     blobs,
     devices,
@@ -70,13 +70,11 @@ def create_app(
     app.add_middleware(BodyLimit, max_bytes=settings.max_body_bytes, silence_s=settings.body_silence_s)
     app.add_middleware(Envelope, registry=registry, secure=settings.secure)
     add_problem_handlers(app)
-    versioned = APIRouter(prefix="/v1", responses=told(401, 403, 408, 422, 503))
-    # Routes are tried in this order: first those that devices ask for all the time.
+    # Tried in this order: first those that devices ask for all the time.
     for part in (work, blobs, events, devices, scenes, views, sweeps, results, findings, recommendation, pictures):
-        versioned.include_router(part.router)
-    app.include_router(versioned)
+        app.routes.extend(part.router.routes)
     for unversioned in (health, wheels):
-        app.include_router(unversioned.router)
+        app.routes.extend(unversioned.router.routes)
     mount_documentation(app)
     mount_pages(app)
     describe(app)

@@ -2,15 +2,14 @@
 
 import json
 import logging
+import secrets
 import time
 from collections.abc import Mapping
+from itertools import count
 from typing import Any, Final
 
 from prometheus_client import CollectorRegistry, Counter, Histogram
-from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
-
-from joulebox_server.store.ids import new_id
 
 log = logging.getLogger("joulebox.requests")
 
@@ -33,7 +32,10 @@ class Envelope:
 
     def __init__(self, app: ASGIApp, registry: CollectorRegistry, secure: bool) -> None:
         self._app = app
-        self._headers = {**SAFE_HEADERS, **({"Strict-Transport-Security": HSTS} if secure else {})}
+        wanted = {**SAFE_HEADERS, **({"Strict-Transport-Security": HSTS} if secure else {})}
+        self._headers = [(name.lower().encode(), value.encode()) for name, value in wanted.items()]
+        # Counted up from a start of its own in each run: a UUID would cost a system call.
+        self._run, self._numbers = secrets.token_hex(6), count(1)
         self._requests = Counter("joulebox_requests", "Requests answered.", ["method", "status"], registry=registry)
         self._seconds = Histogram("joulebox_request_seconds", "Time to the first byte of an answer.", registry=registry)
 
@@ -44,7 +46,7 @@ class Envelope:
             return
         started_s = time.perf_counter()
         state = scope.setdefault("state", {})
-        state["request_id"] = new_id()
+        state["request_id"] = f"{self._run}-{next(self._numbers):06}"
 
         async def wrapped(message: Message) -> None:
             if message["type"] == "http.response.start":
@@ -54,10 +56,10 @@ class Envelope:
         await self._app(scope, receive, wrapped)
 
     def _seal(self, scope: Scope, message: Message, time_s: float) -> None:
-        headers = MutableHeaders(raw=message.setdefault("headers", []))
-        headers["X-Request-Id"] = scope["state"]["request_id"]
-        for name, value in self._headers.items():
-            headers.setdefault(name, value)
+        headers: list[tuple[bytes, bytes]] = message.setdefault("headers", [])
+        said = {name for name, _ in headers}  # ASGI's names are in lower case
+        wanted = ((b"x-request-id", scope["state"]["request_id"].encode()), *self._headers)
+        headers += [header for header in wanted if header[0] not in said]
         status = int(message["status"])
         self._requests.labels(_known(scope["method"]), str(status)).inc()
         self._seconds.observe(time_s)

@@ -36,7 +36,7 @@ class ServerSettings(BaseModel):
     reap_every_s: FiniteFloat = Field(default=5.0, gt=0)
     max_attempts: int = Field(default=3, ge=1)
     suspect_after: int = Field(default=5, ge=1)
-    """Failures in a row after which a device gets no jobs until an operator clears it."""
+    """Failures in a row that are its own, after which a device gets no jobs until an operator clears it."""
     max_configurations: int = Field(default=2000, ge=1)
     max_jobs: int = Field(default=20_000, ge=1)
     """Most jobs of one sweep."""

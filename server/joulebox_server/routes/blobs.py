@@ -3,13 +3,14 @@
 import asyncio
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Path, Request, Response
+from fastapi import Path, Request, Response
 from fastapi.responses import FileResponse, JSONResponse
 from starlette.exceptions import HTTPException
 from starlette.types import Message, Receive, Scope, Send
 
 from joulebox_server.errors import TooLargeError
 from joulebox_server.problems import told
+from joulebox_server.routes.versioned import versioned
 from joulebox_server.schemas.answers import StoredBlob
 from joulebox_server.services import Anyone, ServicesOf, Writer
 from joulebox_server.store import blobs
@@ -35,7 +36,7 @@ ShaPath = Annotated[str, Path(pattern=r"^[0-9a-f]{64}$")]
 BYTES: dict[str, Any] = {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}
 FOREVER = "private, max-age=31536000, immutable"
 
-router = APIRouter(tags=["blobs"])
+router = versioned("blobs")
 
 
 @router.head("/blobs/{sha256}", include_in_schema=False)

@@ -4,12 +4,13 @@ import hmac
 import socket
 from typing import Any
 
-from fastapi import APIRouter, Request, Response
+from fastapi import Request, Response
 from sqlite_utils import Database
 
 from joulebox_server.errors import ForbiddenError, InvalidError, UnauthenticatedError
 from joulebox_server.problems import told
 from joulebox_server.routes.paging import ETAG, Cursor, Id, IfMatch, Key, Limit, page
+from joulebox_server.routes.versioned import versioned
 from joulebox_server.routes.wheels import join_command
 from joulebox_server.schemas.answers import Device as DeviceDocument
 from joulebox_server.schemas.answers import DeviceId as DeviceIdDocument
@@ -29,7 +30,7 @@ from joulebox_server.store.database import etag
 from joulebox_server.store.ids import timestamp
 from joulebox_server.sweeps.checking import schema_fault
 
-router = APIRouter(tags=["devices"])
+router = versioned("devices")
 
 
 @router.post("/enrollments", status_code=201, responses=told(507))

@@ -3,11 +3,12 @@
 from collections.abc import AsyncIterator
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Header, Query
+from fastapi import Depends, Header, Query
 from fastapi.responses import StreamingResponse
 from sqlite_utils import Database
 
 from joulebox_server.problems import told
+from joulebox_server.routes.versioned import versioned
 from joulebox_server.services import Services, ServicesOf, Viewer
 from joulebox_server.store import events, sweeps
 from joulebox_server.store.database import Row
@@ -19,7 +20,7 @@ STREAM: dict[str, Any] = {
     "description": "Events until the server ends: `id`, `event` and `data`, a JSON document.",
 }
 
-router = APIRouter(tags=["events"])
+router = versioned("events")
 
 
 async def _start(

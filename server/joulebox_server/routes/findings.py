@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import Query, Request, Response
 from pydantic import Field
 from sqlite_utils import Database
 
@@ -21,6 +21,7 @@ from joulebox_server.errors import NotFoundError
 from joulebox_server.kept import Kept
 from joulebox_server.problems import told
 from joulebox_server.routes.paging import Id, Key
+from joulebox_server.routes.versioned import versioned
 from joulebox_server.schemas.base import Document
 from joulebox_server.services import Services, ServicesOf, Viewer
 from joulebox_server.store import blobs, sweeps, traces
@@ -38,7 +39,7 @@ DRAWN: dict[int | str, dict[str, Any]] = {
     **told(404, 409),
 }
 
-router = APIRouter(tags=["findings"])
+router = versioned("findings")
 
 
 @router.get("/sweeps/{sweep}/tradeoff", responses=told(404, 409))

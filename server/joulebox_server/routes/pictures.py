@@ -4,7 +4,7 @@ import asyncio
 from typing import Annotated, Any
 
 import numpy as np
-from fastapi import APIRouter, Query, Response
+from fastapi import Query, Response
 from fastapi.responses import FileResponse
 from sqlite_utils import Database
 
@@ -13,6 +13,7 @@ from joulebox_server.analysis.images import read_picture, tonemap_png
 from joulebox_server.errors import InvalidError, ServerError, UnavailableError
 from joulebox_server.problems import told
 from joulebox_server.routes.blobs import FOREVER, ShaPath
+from joulebox_server.routes.versioned import versioned
 from joulebox_server.schemas.answers import DifferenceDocument, DifferenceVersions, Recomputed
 from joulebox_server.services import Operator, ServicesOf, Viewer
 from joulebox_server.store import blobs, differences
@@ -23,7 +24,7 @@ PNG_MAGIC = b"\x89PNG"
 Exposure = Annotated[float, Query(ge=1e-6, le=1e6)]
 Sha = Annotated[str, Query(pattern=r"^[0-9a-f]{64}$")]
 
-router = APIRouter(tags=["pictures"])
+router = versioned("pictures")
 
 
 @router.get("/compare", response_model=DifferenceDocument, responses=told(404, 507))

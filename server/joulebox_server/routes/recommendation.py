@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Query
+from fastapi import Query
 from sqlite_utils import Database
 
 from joulebox_server import observations
@@ -12,6 +12,7 @@ from joulebox_server.analysis.fleet import transferred
 from joulebox_server.analysis.recommend import PROPOSALS, recommend
 from joulebox_server.problems import told
 from joulebox_server.routes.paging import Key
+from joulebox_server.routes.versioned import versioned
 from joulebox_server.schemas.answers import Confirmed
 from joulebox_server.schemas.base import Document
 from joulebox_server.services import Operator, ServicesOf, Viewer
@@ -21,7 +22,7 @@ MAX_PROPOSALS = 50
 
 Positive = Annotated[float | None, Query(gt=0, allow_inf_nan=False)]
 
-router = APIRouter(tags=["findings"])
+router = versioned("findings")
 
 
 class RecommendationQuery(Document):

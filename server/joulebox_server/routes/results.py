@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
 
-from fastapi import APIRouter, Response
+from fastapi import Response
 from fastapi.responses import FileResponse, JSONResponse, StreamingResponse
 from sqlite_utils import Database
 from starlette.background import BackgroundTask
@@ -17,6 +17,7 @@ from starlette.background import BackgroundTask
 from joulebox_server.parquet import write_parquet
 from joulebox_server.problems import told
 from joulebox_server.routes.paging import Cursor, Key, Limit, page
+from joulebox_server.routes.versioned import versioned
 from joulebox_server.schemas.answers import ResultPage
 from joulebox_server.services import Services, ServicesOf, Viewer
 from joulebox_server.store import results, sweeps
@@ -36,7 +37,7 @@ FORMATS: dict[int | str, dict[str, Any]] = {
     }
 }
 
-router = APIRouter(tags=["results"])
+router = versioned("results")
 
 
 @router.get("/results", response_model=ResultPage, responses={**FORMATS, **told(404, 409, 507)})

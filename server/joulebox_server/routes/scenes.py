@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import JSONResponse
 from sqlite_utils import Database
@@ -10,12 +10,13 @@ from sqlite_utils import Database
 from joulebox_server.bundles import check_bundle
 from joulebox_server.problems import told
 from joulebox_server.routes.paging import Cursor, Limit, page
+from joulebox_server.routes.versioned import versioned
 from joulebox_server.schemas.answers import SceneBundle, ScenePage
 from joulebox_server.schemas.base import Name
 from joulebox_server.services import Anyone, Operator, ServicesOf
 from joulebox_server.store import blobs, scenes
 
-router = APIRouter(tags=["scenes"])
+router = versioned("scenes")
 
 
 ZIP = {"required": True, "content": {"application/zip": {"schema": {"type": "string", "format": "binary"}}}}

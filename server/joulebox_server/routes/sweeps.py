@@ -2,12 +2,13 @@
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Header, Response
+from fastapi import Header, Response
 from fastapi.responses import JSONResponse
 from sqlite_utils import Database
 
 from joulebox_server.problems import told
 from joulebox_server.routes.paging import ETAG, Cursor, Id, IfMatch, Key, Limit, page
+from joulebox_server.routes.versioned import versioned
 from joulebox_server.schemas.answers import JobPage, Preview, RetriedSweep, Sweep, SweepPage
 from joulebox_server.schemas.base import Document
 from joulebox_server.schemas.sweep import SweepDefinition
@@ -16,7 +17,7 @@ from joulebox_server.store import jobs, planning, sweeps
 from joulebox_server.store.database import etag
 from joulebox_server.store.sweeps import Action
 
-router = APIRouter(tags=["sweeps"])
+router = versioned("sweeps")
 
 
 class ActionRequest(Document):

@@ -5,12 +5,13 @@ import tomllib
 from pathlib import PurePosixPath
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Body
+from fastapi import Body
 from sqlite_utils import Database
 
 from joulebox_server.errors import InvalidError
 from joulebox_server.problems import told
 from joulebox_server.routes.paging import Cursor, Key, Limit, page
+from joulebox_server.routes.versioned import versioned
 from joulebox_server.schemas.views import FleetPage, Progress, ReadSweep
 from joulebox_server.services import Operator, ServicesOf, Viewer
 from joulebox_server.store import fleet, progress, scenes
@@ -18,7 +19,7 @@ from joulebox_server.store import fleet, progress, scenes
 MOST_SCENES = 1000
 Text = Annotated[str, Body(media_type="text/plain", max_length=1_000_000)]
 
-router = APIRouter(tags=["views"])
+router = versioned("views")
 
 
 @router.get("/fleet", response_model=FleetPage)

@@ -3,11 +3,12 @@
 import asyncio
 import random
 
-from fastapi import APIRouter, Response
+from fastapi import Response
 from fastapi.responses import JSONResponse
 
 from joulebox_server.problems import told
 from joulebox_server.routes.paging import Id
+from joulebox_server.routes.versioned import versioned
 from joulebox_server.schemas.answers import Accepted
 from joulebox_server.schemas.device import Lease, LeaseRequest, Leases, ReleaseRequest
 from joulebox_server.schemas.measure import MeasureDocument
@@ -23,7 +24,7 @@ NOTHING_TO_DO = {
     "headers": {"Retry-After": {"schema": {"type": "integer"}, "description": "Seconds to wait before asking again."}},
 }
 
-router = APIRouter(tags=["work"])
+router = versioned("work")
 
 
 @router.post("/leases", response_model=Leases, responses={204: NOTHING_TO_DO, **told(413, 507)})

@@ -19,6 +19,8 @@ from joulebox_server.store.ids import canonical, new_id, sha256_text
 
 LARGEST_P99_JND = 1.0
 MOST_CLASSES = 20
+PICTURE = "id, device_id, picture_key, render_class, pixel_sha256, image_sha256"
+"""Of a result; not its document, which is long."""
 
 
 def picture_key(job: Row) -> str:
@@ -38,14 +40,14 @@ def render_class(db: Database, device_id: str, document: MeasureDocument) -> str
 
 def check(db: Database, job: Row, result_id: str) -> None:
     """After a good result: compare its picture with those that others made of the same settings."""
-    result = row(db, "SELECT * FROM result WHERE id = ?", (result_id,))
+    result = row(db, f"SELECT {PICTURE} FROM result WHERE id = ?", (result_id,))
     if result is None or result["pixel_sha256"] is None:
         return
     firsts = rows(
         db,
-        """SELECT result.* FROM result JOIN (SELECT min(id) AS id FROM result
+        f"""SELECT {PICTURE} FROM result JOIN (SELECT min(id) AS first_id FROM result
             WHERE picture_key = ? AND id < ? AND void IS NULL AND pixel_sha256 IS NOT NULL
-            GROUP BY render_class ORDER BY 1 LIMIT ?) AS first ON first.id = result.id""",
+            GROUP BY render_class ORDER BY 1 LIMIT ?) ON first_id = id""",
         (result["picture_key"], result_id, MOST_CLASSES),
     )
     own = next((first for first in firsts if first["render_class"] == result["render_class"]), None)

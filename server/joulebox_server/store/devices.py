@@ -143,30 +143,20 @@ def set_health(db: Database, key: str, health: Health, wanted: str | None = None
     """
     device = find(db, key)
     check_match(wanted, device["version"], f"the device {device['name']!r}")
-    db.execute("UPDATE device SET failures_in_row = 0 WHERE id = ?", (device["id"],))
-    _set_health(db, device["id"], health, None)
+    forgive(db, device["id"])
+    mark(db, device["id"], health, None)
     return str(device["id"])
 
 
-def blame(db: Database, device_id: str, reason: str, suspect_after: int) -> None:
-    """Count a failure of a device; too many in a row make it suspect, and it gets no jobs until it is cleared."""
-    db.execute("UPDATE device SET failures_in_row = failures_in_row + 1 WHERE id = ?", (device_id,))
-    looping = row(
-        db,
-        "SELECT failures_in_row FROM device WHERE id = ? AND health = 'good' AND failures_in_row >= ?",
-        (device_id, suspect_after),
-    )
-    if looping is not None:
-        why = f"{looping['failures_in_row']} failures in a row, the last: {reason}"
-        _set_health(db, device_id, "suspect", why)
+def forgive(db: Database, device_id: str) -> None:
+    """End a device's row of failures: a good result came, or an operator looked at it."""
+    ended = db.execute("UPDATE device SET failures_in_row = 0 WHERE id = ? AND failures_in_row > 0", (device_id,))
+    if ended.rowcount:
+        db.execute("UPDATE attempt SET in_row = 0 WHERE device_id = ? AND in_row = 1", (device_id,))
 
 
-def praise(db: Database, device_id: str) -> None:
-    """A good result ends a row of failures."""
-    db.execute("UPDATE device SET failures_in_row = 0 WHERE id = ? AND failures_in_row > 0", (device_id,))
-
-
-def _set_health(db: Database, device_id: str, health: Health, reason: str | None) -> None:
+def mark(db: Database, device_id: str, health: Health, reason: str | None) -> None:
+    """Change a device's health and say so; `reason` is for people."""
     db.execute(
         "UPDATE device SET health = ?, health_reason = ?, version = version + 1 WHERE id = ?",
         (health, reason, device_id),

@@ -28,14 +28,14 @@ def request(db: Database, job: Row, result_id: str) -> None:
     """
     definition = definition_of(job["definition"])
     same = definition.reference.seed_policy == "same"
+    reference = _reference(db, job, job["repeat"] if same else 0)
+    if reference is None:
+        return
     display = display_key(definition.picture_exposure)
     if job["purpose"] == "reference":
         waiting = _waiting(db, job, same)
     else:
         waiting = rows(db, "SELECT id, image_sha256 FROM result WHERE id = ?", (result_id,))
-    reference = _reference(db, job, job["repeat"] if same else 0)
-    if reference is None:
-        return
     for result in waiting:
         if result["image_sha256"] is None:
             continue

@@ -7,7 +7,7 @@ from typing import Any
 from sqlite_utils import Database
 
 from joulebox_server.errors import ConflictError, NotFoundError
-from joulebox_server.store import devices, events, life, sweeps
+from joulebox_server.store import devices, events, life, suspicion, sweeps
 from joulebox_server.store.database import Row, number, row, rows
 from joulebox_server.store.ids import MICRO
 from joulebox_server.store.life import Event
@@ -30,7 +30,7 @@ class LeaseRules:
     release_pause_s  a job given back unmeasured is not handed out sooner
     retry_pause_s    the same after the first failure; doubles with each, up to `longest_retry_pause_s`
     max_attempts     failures after which a job fails
-    suspect_after    failures of one device in a row, of whatever jobs, after which it gets no more
+    suspect_after    failures in a row that are a device's own (`suspicion`), after which it gets no more jobs
     """
 
     slack_s: float
@@ -105,9 +105,9 @@ def happen(
     if step.attempt is not None:
         db.execute("UPDATE attempt SET state = ?, reason = ? WHERE id = ?", (step.attempt, reason, attempt["id"]))
     if step.blames:
-        devices.blame(db, attempt["device_id"], reason or event.value, rules.suspect_after)
+        suspicion.blame(db, attempt, reason or event.value, rules.suspect_after)
     elif event is Event.RESULT and attempt["state"] == "leased":
-        devices.praise(db, attempt["device_id"])
+        devices.forgive(db, attempt["device_id"])
     if step.job == "back":
         _give_back(db, job, rules, step.spends, reason, now_us)
     elif step.job is not None:

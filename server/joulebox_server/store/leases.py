@@ -120,8 +120,13 @@ def _take_back(
 
 def _next_jobs(db: Database, device_id: str, count: int, now_us: int) -> list[str]:
     """Ids of the jobs that a device should do next. Reads no more of a long queue than it takes."""
-    device = devices.find(db, device_id)
-    if device["health"] != "good":
+    device = row(
+        db,
+        """SELECT health, shown AS capabilities FROM device LEFT JOIN device_capabilities ON device_id = id
+        WHERE id = ? AND revoked_at_us IS NULL""",
+        (device_id,),
+    )
+    if device is None or device["health"] != "good":
         return []
     targets = rows(
         db,
@@ -159,7 +164,8 @@ def _grant(
     measure = _measure(definition_of(job["definition"]), job)
     expires_at_us = now_us + round((measure.max_seconds + measure.window_s + rules.slack_s) * MICRO)
     attempt_id, step = new_id(), life.step(Event.LEASE, job["state"], None)
-    db.execute("UPDATE target SET device_id = ? WHERE id = ? AND device_id IS NULL", (device_id, job["target_id"]))
+    if job["device_name"] is None:  # the wish for a device: this one becomes it
+        db.execute("UPDATE target SET device_id = ? WHERE id = ? AND device_id IS NULL", (device_id, job["target_id"]))
     db.execute("UPDATE job SET state = ? WHERE id = ?", (step.job, job["id"]))
     db.execute(
         """INSERT INTO attempt (id, job_id, device_id, boot_id, state, conditions, leased_at_us, expires_at_us)

@@ -215,3 +215,20 @@ def controls_and_care(db: Database) -> None:
             "UPDATE device_capabilities SET shown = ?, build = ? WHERE device_id = ?",
             (json.dumps(document), build, device_id),
         )
+
+
+SUSPICION = (
+    # Whether the attempt failed, and whether that is still held against its device: since its last good result.
+    "ALTER TABLE attempt ADD COLUMN failed INTEGER NOT NULL DEFAULT 0",
+    "ALTER TABLE attempt ADD COLUMN in_row INTEGER NOT NULL DEFAULT 0",
+    "CREATE INDEX attempt_in_row ON attempt (device_id) WHERE in_row = 1",
+    "CREATE INDEX job_configuration ON job (configuration_id)",
+    "CREATE INDEX sweep_scene_scene ON sweep_scene (scene_id)",
+)
+
+
+@migrations()
+def failures_of_devices(db: Database) -> None:
+    """Which attempts failed, so that a device's failures are told from its work's."""
+    for statement in SUSPICION:
+        db.execute(statement)
