@@ -173,11 +173,9 @@ def _table(results: Results) -> Table:
         )
     columns = ("regime", "what is bad", "mean difference", "spread", "worst", "beyond the limit", "mean cost",
                "cost spread", "fragile")  # fmt: skip
-    return Table(
-        columns,
-        rows,
-        f"Over {SEEDS} seeds; the limit is {figure(found(results)[0].limit)}; spreads are standard deviations over means",
-    )
+    limit = figure(found(results)[0].limit)
+    caption = f"Over {SEEDS} seeds; the limit is {limit}; spreads are standard deviations over means"
+    return Table(columns, rows, caption)
 
 
 def _cliff_table(results: Results) -> Table:
