@@ -59,7 +59,7 @@ def _rows(
             sweep=definition.name, scene=entry.label, defines=entry.defines, purpose=job.purpose,
             settings=settings | {"seed": job.seed}, repeat=job.repeat, seed=job.seed, image=Cost(whole, whole, whole),
             stages=stages, quality="measured", difference=apart, image_sha256="00", reference_sha256="11",
-            delta_sha256="22", pixel_sha256=None, photons={},
+            delta_sha256="22", pixel_sha256=None, photons={"caustic_stored": settings.get("caustic_photons", 0)},
         )  # fmt: skip
 
 

@@ -4,6 +4,7 @@ import math
 from itertools import pairwise
 
 from joulebox_server.analysis.intervals import Interval
+from joulebox_server.analysis.words import figure
 from joulebox_server.thesis import figures, quantities
 from joulebox_server.thesis.batch import Batch, Figure, Finding, Spec
 from joulebox_server.thesis.beyond_points import (
@@ -60,11 +61,21 @@ def _importance(results: Results) -> Finding:
 
 def _hints(results: Results) -> Finding:
     on, off = (hinted(results, on=value) for value in (True, False))
-    creation, apart = (ratio(*pair) for pair in ((on.stage("photon_map"), off.stage("photon_map")),
-                                                  (compared(on), compared(off))))  # fmt: skip
-    verdict = every([between(creation, high=0.5), between(apart, high=1.1)])
-    words = f"the difference is {told(apart)} times that without; the cost of map creation over that without"
-    return finding(creation, verdict, words)
+    apart, whole = ratio(compared(on), compared(off)), ratio(on.stage("photon_map"), off.stage("photon_map"))
+    stored = [_stored(point) for point in (on, off)]
+    each = whole.scaled(stored[1] / stored[0])
+    verdict = every([between(each, high=0.5), between(apart, high=1.1)])
+    words = f"{figure(stored[0])} caustic photons are stored with hints and {figure(stored[1])} without, and the "
+    words += f"difference is {told(apart)} times that without; the cost of map creation a photon over that without"
+    return finding(each, verdict, words)
+
+
+def _stored(point: Point) -> float:
+    """Caustic photons stored, on average. Raises MissingError where none is."""
+    counts = [float(row.photons.get("caustic_stored", 0)) for row in point.rows]
+    if not all(counts):
+        raise MissingError("no caustic photon was stored")
+    return math.fsum(counts) / len(counts)
 
 
 def path_cost_at(results: Results, difference: float) -> tuple[Interval, bool]:

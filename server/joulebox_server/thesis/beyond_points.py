@@ -12,8 +12,8 @@ TOLERANCES = (0.8, 1.6)
 SAMPLERS = ("independent", "sobol")
 RAYS = (16, 64)
 IMPORTANCE_RAYS = 64
-CAUSTIC: Mapping[str, Any] = {"caustic_photons": 4_000, "indirect": "none"}
-"""As many as this scene yields without hints before emission is given up; alone, since it cannot fill a global map."""
+CAUSTIC: Mapping[str, Any] = {"caustic_photons": 20_000, "indirect": "none"}
+"""A caustic map alone, since the scene cannot fill a global one."""
 PATHS = (4, 16, 64, 256)
 THREADS = (1, 2)
 SINGLES: Mapping[str, Mapping[str, Any]] = {
@@ -35,7 +35,7 @@ SHORT = {"window_s": 0.05, "min_windows": 1, "max_windows": 1, "meter": "none"}
 
 def sweeps(plan: Plan) -> list[Sweep]:
     """One sweep a question; all but the threads' compare seeds with a reference at another seed."""
-    repeats = plan.pick(3, 8)
+    repeats = plan.pick(5, 8)
     paths = plan.pick(512, 4096)
     everywhere: dict[str, Any] = {"irradiance_cache_tolerance": 0.0}
     gather: list[dict[str, Any]] = [

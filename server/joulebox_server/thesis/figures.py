@@ -45,10 +45,12 @@ def lines(
     log_y: bool = False,
     levels: Mapping[str, float] | None = None,
     from_zero: bool = True,
+    order: Sequence[str] | None = None,
 ) -> Spec | None:
     """Lines through points with their intervals, one a series, and horizontal levels with their words.
 
     x, y, series   titles with units; None without rows
+    order          of places that are words, where it is not that of the rows
     """
     if not rows:
         return None
@@ -59,7 +61,7 @@ def lines(
     words = any(isinstance(row["x"], str) for row in rows)
     x_kind, x_scale = ("N", alt.Undefined) if words else ("Q", _scale(log_x))
     x_axis = alt.Axis(title=x, labelAngle=0, format=alt.Undefined if words else ",~r")
-    x_channel = alt.X(f"x:{x_kind}", scale=x_scale, axis=x_axis, sort=None if words else alt.Undefined)
+    x_channel = alt.X(f"x:{x_kind}", scale=x_scale, axis=x_axis, sort=order if words else alt.Undefined)
     y_axis = alt.Axis(title=y, format=",~r" if not _tiny(rows) else "~e")
     present = list(dict.fromkeys(row["series"] for row in rows))
     colour: Any = alt.value(palette.BLUE)
@@ -116,8 +118,9 @@ def points(rows: Sequence[Row], x: str, y: str, series: str = "", *, log: bool =
     if not shown:
         return None
     if log:
-        least = min(row["y"] for row in shown)
-        shown = [row | {"low": max(row["low"], least / 10)} for row in shown]
+        # an interval that reaches 0 has no place on a logarithmic axis
+        least_x, least_y = (min(row[axis] for row in shown) for axis in ("x", "y"))
+        shown = [row | {"low": max(row["low"], least_y / 10), "x_low": max(row["x_low"], least_x / 2)} for row in shown]
     present = list(dict.fromkeys(row["series"] for row in shown))
     scale = alt.Scale(domain=present, range=[palette.CATEGORIES[k % 8] for k in range(len(present))])
     colour: Any = alt.Color("series:N", title=series or None, scale=scale, sort=present)
@@ -174,7 +177,7 @@ def _level(name: str, level: float, scale: Any, axis: Any) -> list[Any]:
 
 
 def _scale(log: bool) -> Any:
-    return alt.Scale(type="log") if log else alt.Scale(zero=True)
+    return alt.Scale(type="log", nice=False, padding=14) if log else alt.Scale(zero=True)
 
 
 def _tiny(rows: Sequence[Row]) -> bool:

@@ -24,6 +24,8 @@ from joulebox_server.thesis.results import MissingError, Results
 from joulebox_server.thesis.told import how_told
 from joulebox_server.thesis.verdicts import Judged
 
+MOST_FLOORS = 6
+"""So many references a batch are told of at once; more are folded away."""
 MISSING = "Not drawn: the results of this run do not hold what it shows."
 
 
@@ -78,7 +80,9 @@ def ratings_table(results: Results, batches: Sequence[Batch]) -> Table | None:
 def _batch_section(pictures: Path, results: Results, batch: Batch, judged: Sequence[Judged]) -> Section:
     blocks: list[Block] = [Words(batch.summary)]
     floors = floors_told(results, batch)
-    if floors:
+    if len(floors) > MOST_FLOORS:
+        blocks.append(Fold(f"The {len(floors)} references, and what another seed of each differs by", [Points(floors)]))
+    elif floors:
         blocks.append(Points(floors))
     for one in batch.figures:
         blocks += _figure_blocks(pictures, results, one)

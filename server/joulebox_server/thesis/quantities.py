@@ -39,14 +39,16 @@ def over(quantity: Quantity, lines: Lines, x: str, legend: str = "", **look: Any
     """A figure of lines: a quantity over what varies along them."""
 
     def draw(results: Results) -> Spec | None:
+        found = [(name, x_value, point) for name, points in lines(results).items() for x_value, point in points]
         rows = [
             figures.value(x_value, value, name)
-            for name, points in lines(results).items()
-            for x_value, point in points
+            for name, x_value, point in found
             if (value := quantity.of(point)) is not None
         ]
+        # of all points: one that has no such quantity keeps its place among the words
+        order = list(dict.fromkeys(str(x_value) for _, x_value, _ in found))
         title = quantity.title.format(unit=results.unit)
-        return figures.lines(rows, x, title, legend, levels=quantity.levels, **look)
+        return figures.lines(rows, x, title, legend, levels=quantity.levels, order=order, **look)
 
     return draw
 

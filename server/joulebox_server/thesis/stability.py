@@ -162,19 +162,20 @@ def _table(results: Results) -> Table:
             (
                 one.regime.name,
                 f"{one.regime.method}: {one.regime.words}",
-                str(stable.seeds),
                 told(compared(one.point)),
                 share(stable.spread.value),
                 figure(stable.worst),
                 share(stable.share_beyond),
-                told(one.point.cost, results.unit),
+                f"{figure(one.point.cost.value)} {results.unit}",
                 share(one.cost_spread.value),
                 one.fragile or ("" if stable.mean <= one.limit else "not acceptable"),
             )
         )
-    columns = ("regime", "what is bad", "seeds", "mean difference", "spread", "worst", "beyond the limit", "mean cost",
+    columns = ("regime", "what is bad", "mean difference", "spread", "worst", "beyond the limit", "mean cost",
                "cost spread", "fragile")  # fmt: skip
-    return Table(columns, rows, f"Limit {figure(found(results)[0].limit)}; spreads are standard deviations over means")
+    limit = figure(found(results)[0].limit)
+    caption = f"Over {SEEDS} seeds; the limit is {limit}; spreads are standard deviations over means"
+    return Table(columns, rows, caption)
 
 
 def _cliff_table(results: Results) -> Table:

@@ -116,7 +116,7 @@ def sweeps(plan: Plan) -> list[Sweep]:
 
 def _leak_sweep(plan: Plan, name: str, wall_m: str) -> Sweep:
     scene: Any = {"name": "thin-wall", "defines": {"thickness": wall_m}}
-    return _sweep(plan, name, scene, {}, plan.pick(5, SEEDS)) | {"configurations": [dict(LEAK)]}
+    return _sweep(plan, name, scene, {}, plan.pick(8, SEEDS)) | {"configurations": [dict(LEAK)]}
 
 
 def _sweep(plan: Plan, name: str, scene: Any, base: dict[str, Any], repeats: int) -> Sweep:
