@@ -39,6 +39,7 @@ from joulebox_server.store import events as stored_events
 from joulebox_server.store.ids import now_us
 from joulebox_server.store.leases import reap
 from joulebox_server.waiting import Bell
+from joulebox_server.workers import Workers
 
 log = logging.getLogger("joulebox.server")
 
@@ -48,8 +49,8 @@ def create_app(
 ) -> FastAPI:
     """A server over `settings.data_dir`.
 
-    executor  computes differences (`concurrent.futures` interface); None makes a pool of
-              `settings.workers` processes, which ends with the app
+    executor  computes differences and draws charts (`concurrent.futures` interface); None makes
+              `settings.workers` processes for the ones and one for the others, which end with the app
     clock     microseconds since 1970, by which leases are judged
     """
     registry = CollectorRegistry()
@@ -90,8 +91,11 @@ async def _running(
     bell = Bell()
     bell.open()
     store.on_event(bell.ring_from_thread)
-    comparer = Comparer(store, bell, executor, settings.workers, settings.max_blob_bytes)
-    services = Services(settings, store, bell, comparer, clock, registry)
+    # Twice as many comparisons as processes, so that none waits for the next; charts in a process of their own, so
+    # that none waits for comparisons.
+    comparing, drawing = Workers(settings.workers, executor), Workers(1, executor)
+    comparer = Comparer(store, bell, comparing, 2 * settings.workers, settings.max_blob_bytes)
+    services = Services(settings, store, bell, comparer, drawing, clock, registry)
     collector = StoreCollector(store)
     registry.register(collector)
     work = (comparer.run(), services.feed.run(), _keep_house(services))
@@ -102,6 +106,8 @@ async def _running(
         bell.close()
         for task in tasks:
             await stop(task)
+        for workers in (comparing, drawing):
+            await asyncio.to_thread(workers.close)
         registry.unregister(collector)
         await asyncio.to_thread(store.close)
 

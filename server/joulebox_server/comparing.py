@@ -4,9 +4,7 @@ import asyncio
 import contextlib
 import json
 import logging
-import multiprocessing
-import os
-from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -15,17 +13,12 @@ from joulebox_server.errors import InvalidError, ServerError
 from joulebox_server.store import Store, agreement, blobs, differences
 from joulebox_server.store.database import Row
 from joulebox_server.waiting import Bell
+from joulebox_server.workers import Workers
 
 log = logging.getLogger("joulebox.server")
 
 LOOK_AGAIN_S = 5.0
 """At most this long until a difference asked for by another process is noticed."""
-
-
-def _give_way() -> None:
-    """Lower a worker's priority, where the system can: an agent may be measuring on this very machine."""
-    if hasattr(os, "nice"):
-        os.nice(10)
 
 
 @dataclass(frozen=True)
@@ -80,15 +73,14 @@ def _read(read_picture: Any, path: Path, which: str) -> Any:
 class Comparer:
     """Takes pending differences from the store and puts their values back.
 
-    `executor` has the `concurrent.futures` interface; None makes a pool of `workers` spawned processes.
+    workers  compute, and `at_once` comparisons are under way there
     """
 
-    def __init__(self, store: Store, bell: Bell, executor: Executor | None, workers: int, max_blob_bytes: int) -> None:
+    def __init__(self, store: Store, bell: Bell, workers: Workers, at_once: int, max_blob_bytes: int) -> None:
         self._store = store
         self._bell = bell
-        self._given = executor
-        self._own: ProcessPoolExecutor | None = None
         self._workers = workers
+        self._at_once = at_once
         self._max_blob_bytes = max_blob_bytes
         self._running: dict[str, asyncio.Task[None]] = {}
 
@@ -98,7 +90,7 @@ class Comparer:
             while not self._bell.closed:
                 heard = self._bell.heard
                 try:
-                    found = await asyncio.to_thread(self._store.read, differences.pending, 2 * self._workers)
+                    found = await asyncio.to_thread(self._store.read, differences.pending, self._at_once)
                     for difference in found:
                         self.start(difference)
                 except Exception:
@@ -107,8 +99,6 @@ class Comparer:
         finally:
             for task in self._running.values():
                 task.cancel()
-            if self._own is not None:
-                self._own.shutdown(wait=True, cancel_futures=True)
 
     def start(self, difference: Row) -> "asyncio.Task[None]":
         """Begin to compute a difference, once: the task ends when its row is done or failed."""
@@ -137,15 +127,11 @@ class Comparer:
     async def _compared(self, difference: Row) -> Comparison:
         key = str(difference["id"])
         exposure = float(json.loads(difference["display"])["exposure"])
-        loop = asyncio.get_running_loop()
         while True:
-            pool = self._executor()
             try:
                 reference, test = await asyncio.to_thread(self._paths, difference)
-                return await loop.run_in_executor(pool, compare_files, reference, test, exposure)
+                return await asyncio.wrap_future(self._workers.submit(compare_files, reference, test, exposure))
             except BrokenExecutor:
-                if pool is self._own:
-                    self._own = None
                 if await asyncio.to_thread(self._store.write, differences.count_try, key) >= differences.MAX_TRIES:
                     return Comparison(None, None, "the process that compared the pictures ended unexpectedly")
             except Exception as error:
@@ -158,15 +144,6 @@ class Comparer:
             for which in ("reference_sha256", "test_sha256")
         ]
         return found[0], found[1]
-
-    def _executor(self) -> Executor:
-        if self._given is not None:
-            return self._given
-        if self._own is None:
-            self._own = ProcessPoolExecutor(
-                self._workers, mp_context=multiprocessing.get_context("spawn"), initializer=_give_way
-            )
-        return self._own
 
     def _keep(self, key: str, comparison: Comparison) -> None:
         if comparison.outcome is None or comparison.delta_png is None:

@@ -20,6 +20,7 @@ from joulebox_server.store import Store, tokens
 from joulebox_server.store.jobs import LeaseRules
 from joulebox_server.store.tokens import Principal
 from joulebox_server.waiting import Bell
+from joulebox_server.workers import Workers
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -33,6 +34,7 @@ class Services:
     store: Store
     bell: Bell
     comparer: Comparer
+    drawing: Workers
     clock: Callable[[], int]
     """Microseconds since 1970; leases are judged by it."""
     registry: CollectorRegistry = field(default_factory=CollectorRegistry)

@@ -1,6 +1,7 @@
 """`joulebox serve` as operators run it: TLS, logs without secrets, and what it refuses."""
 
 import json
+import logging
 import os
 import signal
 import ssl
@@ -14,6 +15,7 @@ import httpx2
 import pytest
 from fake_device import FakeDevice, scene_zip, sweep
 from joulebox_server import cli
+from joulebox_server.cli import serving
 
 DATA = Path(__file__).parent / "data"
 CERTIFICATE, KEY = DATA / "loopback.pem", DATA / "loopback.key"
@@ -81,6 +83,41 @@ def test_tls(tmp_path: Path) -> None:
         assert (listed.returncode, "no device yet" in listed.stdout) == (0, True), listed.stderr
     finally:
         served.stop()
+
+
+def test_one_server_a_data_folder(tmp_path: Path, refused: Refused) -> None:
+    """A second is refused and takes nothing from the first; after a kill the folder is free again."""
+    first = Served("--data", str(tmp_path))
+    try:
+        url = first.told["url"]
+        assert f"another server at {url} uses the data folder" in refused(1, "--data", str(tmp_path))
+        assert json.loads((tmp_path / "server.json").read_text())["url"] == url
+        assert httpx2.get(f"{url}/readyz").status_code == 200
+    finally:
+        first.process.kill()
+        first.process.communicate()
+    assert "Traceback" not in Served("--data", str(tmp_path)).stop()
+
+
+def test_the_request_log_is_renewed(tmp_path: Path) -> None:
+    """Every line is in the log or in the ones before it; none is longer than it may be."""
+    log = logging.getLogger("joulebox.requests")
+    lines = [f"line {number} {'x' * 1000}" for number in range(35)]
+    path = tmp_path / "requests.log"
+    path.write_text("from an earlier run\n" * 100)
+    limit = serving.LONGEST_LOG_BYTES
+    serving.LONGEST_LOG_BYTES = 15_000
+    try:
+        with serving.request_log(path):
+            for line in lines:
+                log.info(line)
+    finally:
+        serving.LONGEST_LOG_BYTES = limit
+    files = [tmp_path / f"requests.log{suffix}" for suffix in (".3", ".2", ".1", "")]
+    kept = "".join(file.read_text() for file in files if file.exists())
+    assert kept == "from an earlier run\n" * 100 + "".join(f"{line}\n" for line in lines)
+    assert sum(file.exists() for file in files) == 3
+    assert all(file.stat().st_size <= 15_000 for file in files if file.exists())
 
 
 def test_files_of_tls_that_cannot_be_used(refused: Refused, tmp_path: Path) -> None:

@@ -4,13 +4,11 @@ One specification serves the dashboard, the pictures of a report and a page of i
 inline; nothing is fetched.
 """
 
-import json
 import math
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any
 
 import altair as alt
-import vl_convert
 
 from joulebox_server.analysis import layers, palette
 from joulebox_server.analysis.candidates import Candidate
@@ -26,11 +24,9 @@ HEIGHT = 380
 TRACE_HEIGHT = 180
 MOST_BARS = 24
 BAR_STEP = 24
-VEGA_LITE = "6.4"
 UNBOOKED = "other"
 """Time of an image that no stage accounts for."""
 _UNBOOKED_FROM_SHARE = 0.005
-_MIN_WIDTH, _MAX_WIDTH = 200, 4000
 _TOLD_OF_REFERENCE = {"configuration_id", "label", "energy_j", "time_s", "image_sha256", "settings", "quality"}
 
 
@@ -101,24 +97,6 @@ def _worth_a_bar(points: Sequence[Point], tradeoff: Tradeoff, chosen: str | None
     front = [p for p in points if (p.on_front.energy_j if axis == "energy_j" else p.on_front.time_s)]
     kept = {p.configuration_id for p in front[:: -(-len(front) // MOST_BARS) or 1]} | {chosen}
     return [p for p in points if p.configuration_id in kept]
-
-
-def render(spec: Spec, file_format: Literal["svg", "png"], width: int = 800) -> bytes:
-    """A specification as a picture, `width` pixels wide inside the axes; PNG at twice that density.
-
-    Raises AnalysisError for a format or width that cannot be, and for a specification that Vega refuses.
-    """
-    if not _MIN_WIDTH <= width <= _MAX_WIDTH:
-        raise AnalysisError(f"the width is {width} pixels, it must be from {_MIN_WIDTH} to {_MAX_WIDTH}")
-    sized = json.dumps(spec | {"width": width, "autosize": {"type": "pad"}})
-    try:
-        if file_format == "svg":
-            return str(vl_convert.vegalite_to_svg(sized, vl_version=VEGA_LITE)).encode()
-        if file_format == "png":
-            return bytes(vl_convert.vegalite_to_png(sized, vl_version=VEGA_LITE, scale=2))
-    except ValueError as error:
-        raise AnalysisError(f"the chart cannot be drawn: {str(error).splitlines()[0]}") from None
-    raise AnalysisError(f"the format is {file_format}, it must be svg or png")
 
 
 def finish(chart: Any, title: str, subtitle: str | list[str]) -> Spec:

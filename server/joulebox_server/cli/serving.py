@@ -27,6 +27,7 @@ from joulebox_server.cli.connection import (
     WrongUseError,
     write_private,
 )
+from joulebox_server.cli.holding import held
 from joulebox_server.cli.output import print_json
 from joulebox_server.connections import PatientProtocol, raise_file_limit
 from joulebox_server.problems import field_errors
@@ -60,9 +61,10 @@ def run_server(asked: Asked, as_json: bool) -> None:
     settings = _settings(asked)
     listening = _bind(asked.host, asked.port)
     try:
-        token = _first_token(settings)
-        with _request_log(asked.request_log):
-            _run(asked, settings, listening, token, as_json)
+        with held(settings.data_dir):
+            token = _first_token(settings)
+            with request_log(asked.request_log):
+                _run(asked, settings, listening, token, as_json)
     finally:
         listening.close()
 
@@ -108,7 +110,7 @@ def _check_tls(asked: Asked) -> None:
 
 
 @contextmanager
-def _request_log(path: Path) -> Iterator[None]:
+def request_log(path: Path) -> Iterator[None]:
     """Write one JSON line a request to a file that is renewed at 10 MiB, or to standard error."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -18,7 +18,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from joulebox_server import __version__
-from joulebox_server.analysis import charts, palette
+from joulebox_server.analysis import palette
+from joulebox_server.analysis.drawing import render
 from joulebox_server.errors import ServerError
 from joulebox_server.reports.document import Block, Chart, Fold, Picture, Pictures, Report, Section
 
@@ -97,7 +98,7 @@ def html(report: Report, drawn: dict[str, DrawnChart]) -> str:
 
 def _draw(chart: Chart) -> DrawnChart:
     spec = dict(chart.spec)
-    return DrawnChart(chart, charts.render(spec, "svg", chart.width), charts.render(spec, "png", chart.width))
+    return DrawnChart(chart, render(spec, "svg", chart.width), render(spec, "png", chart.width))
 
 
 def _policy(scripts: list[Markup]) -> str:

@@ -4,6 +4,7 @@ import gzip
 import hashlib
 import json
 from collections.abc import Callable
+from concurrent.futures import BrokenExecutor
 from typing import Annotated, Any, Literal
 
 from fastapi import Query, Request, Response
@@ -14,10 +15,11 @@ from joulebox_server import observations
 from joulebox_server.analysis import charts
 from joulebox_server.analysis.candidates import Candidate, candidates, worth_showing
 from joulebox_server.analysis.documents import Point, Tradeoff
+from joulebox_server.analysis.drawing import render
 from joulebox_server.analysis.errors import AnalysisError
 from joulebox_server.analysis.frame import ScaleName, View, XName, YName
 from joulebox_server.analysis.trace import read_trace
-from joulebox_server.errors import NotFoundError
+from joulebox_server.errors import NotFoundError, UnavailableError
 from joulebox_server.kept import Kept
 from joulebox_server.problems import told
 from joulebox_server.routes.paging import Id, Key
@@ -30,6 +32,9 @@ Positive = Annotated[float | None, Query(gt=0, allow_inf_nan=False)]
 Confidence = Annotated[float, Query(ge=0.5, le=0.999)]
 ChartFormat = Literal["vl.json", "svg", "png"]
 MEDIA_TYPES: dict[ChartFormat, str] = {"vl.json": "application/json", "svg": "image/svg+xml", "png": "image/png"}
+
+LONGEST_DRAWING_S = 60.0
+"""With those that were asked for before it."""
 
 DRAWN: dict[int | str, dict[str, Any]] = {
     200: {
@@ -195,7 +200,7 @@ def _answered(
     def body() -> bytes:
         spec = drawn(services.store.read(observations.tradeoff, sweep, scene, device, 0.95))
         if form != "vl.json":
-            return charts.render(spec, form, width)
+            return _picture(services, spec, form, width)
         text = json.dumps(spec, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
         return gzip.compress(text, 6, mtime=0) if packed else text
 
@@ -203,6 +208,18 @@ def _answered(
     if packed:
         headers["Content-Encoding"] = "gzip"
     return Response(content, media_type=MEDIA_TYPES[form], headers=headers)
+
+
+def _picture(services: Services, spec: dict[str, Any], form: Literal["svg", "png"], width: int) -> bytes:
+    """A chart as a picture, drawn elsewhere: Vega holds Python's lock for as long as a second and more."""
+    drawing = services.drawing.submit(render, spec, form, width)
+    try:
+        return drawing.result(LONGEST_DRAWING_S)
+    except TimeoutError:
+        drawing.cancel()
+        raise UnavailableError("too many charts are being drawn; ask again, or for the chart's vl.json") from None
+    except BrokenExecutor:
+        raise UnavailableError("the process that draws charts ended unexpectedly; ask again") from None
 
 
 def _mark(db: Database, sweep: str) -> tuple[str, ...]:

@@ -6,7 +6,8 @@ from xml.etree import ElementTree
 
 import pytest
 from joulebox_server.analysis.candidates import Candidate
-from joulebox_server.analysis.charts import MOST_BARS, render, stages_chart, trace_chart, tradeoff_chart
+from joulebox_server.analysis.charts import MOST_BARS, stages_chart, trace_chart, tradeoff_chart
+from joulebox_server.analysis.drawing import render
 from joulebox_server.analysis.errors import AnalysisError
 from joulebox_server.analysis.frame import View
 from joulebox_server.analysis.trace import read_trace
