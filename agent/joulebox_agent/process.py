@@ -60,15 +60,17 @@ class RendererProcess:
         return self._process.poll()
 
     def _read_lines(self, stream: IO[str]) -> None:
-        for line in stream:
-            self._lines.put((self._clock.now_s(), line))
+        with stream:  # closed here, since a child of the renderer may hold it open longer than `stop` waits
+            for line in stream:
+                self._lines.put((self._clock.now_s(), line))
         self._lines.put(None)
 
     def _read_words(self, stream: IO[str]) -> None:
-        for line in stream:
-            if line.strip():
-                self._words.append(line.strip())
-                self._on_words(line.strip())
+        with stream:
+            for line in stream:
+                if line.strip():
+                    self._words.append(line.strip())
+                    self._on_words(line.strip())
 
     def hear(self, clock: Clock, on_words: Callable[[str], None]) -> None:
         """Says by whose clock and to whom the lines of the next job go; what was said before is forgotten."""
@@ -122,10 +124,8 @@ class RendererProcess:
             except subprocess.TimeoutExpired:
                 self._process.kill()
                 self._process.wait()
-        for thread, stream in zip(self._threads, (self._process.stdout, self._process.stderr), strict=True):
+        for thread in self._threads:
             thread.join(STOP_WITHIN_S)
-            if stream is not None and not thread.is_alive():
-                stream.close()
         if self._process.stdin is not None:
             with contextlib.suppress(OSError):  # what was still to be told reaches nobody
                 self._process.stdin.close()
