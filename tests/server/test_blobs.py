@@ -2,6 +2,8 @@
 
 import errno
 import os
+import struct
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +41,35 @@ def test_put_get_head_range(server: Server) -> None:
     told(beyond, 416, "range_not_satisfiable", f"within the blob's {len(CONTENT)} bytes")
     assert beyond.headers["content-range"] == f"bytes */{len(CONTENT)}"
     told(server.client.get(path, headers={"Range": "lines=0-1"}), 400, "http_error", "bytes=0-99")
+
+
+def test_a_blob_is_sent_only_to_those_who_lack_it(server: Server) -> None:
+    path = f"/v1/blobs/{sha256(CONTENT)}"
+    put(server, CONTENT)
+    known = server.client.get(path, headers={"If-None-Match": server.client.get(path).headers["etag"]})
+    assert (known.status_code, known.content) == (304, b"")
+    assert server.client.get(path, headers={"If-None-Match": f'"{"0" * 64}"'}).content == CONTENT
+
+
+def png(width: int, height: int) -> bytes:
+    """A PNG that says it is so large, of which a row is there."""
+    chunks = ((b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)), (b"IDAT", zlib.compress(bytes(100))))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in (*chunks, (b"IEND", b""))
+    )
+
+
+def test_a_picture_that_would_burst_whoever_opens_it(server: Server) -> None:
+    """A PNG goes to the browser as it is, so one of a few bytes that says it is enormous or is cut off goes nowhere."""
+    good, enormous = png(32, 1), png(60_000, 60_000)
+    for content in (good, enormous, good[:-4]):
+        assert put(server, content).status_code == 201
+    assert server.client.get(f"/v1/images/{sha256(good)}.png").content == good
+    refused = server.client.get(f"/v1/images/{sha256(enormous)}.png")
+    problem = told(refused, 422, "invalid", "is 60000 x 60000 pixels, it must have at most 16,384 on a side")
+    assert f"the blob {sha256(enormous)}" in problem["detail"]
+    told(server.client.get(f"/v1/images/{sha256(good[:-4])}.png"), 422, "invalid", "is a truncated PNG file")
 
 
 def test_wrong_digest_leaves_nothing(server: Server) -> None:

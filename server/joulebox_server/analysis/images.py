@@ -23,6 +23,8 @@ MAX_SIDE = 16_384
 """Longest side in pixels that is read or written."""
 MAX_PIXELS = 2**25
 """Most pixels that are read or written: 400 MB as float32 RGB."""
+MAX_VALUES = 4 * MAX_PIXELS
+"""Most values that are decoded, of all channels together: equal ones take next to nothing in a file."""
 
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 _PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
@@ -117,6 +119,7 @@ def _read_with_oiio(path: Path, kind: str) -> Picture:
     try:
         spec = source.spec()
         _check_size(str(path), spec.width, spec.height)
+        _check_channels(path, spec.width * spec.height, spec.nchannels)  # all of them are decoded
         red, green, blue, alpha = _colour_channels(path, list(spec.channelnames))
         pixels = source.read_image("float")
         if pixels is None:
@@ -129,6 +132,13 @@ def _read_with_oiio(path: Path, kind: str) -> Picture:
     return np.ascontiguousarray(pixels[:, :, [red, green, blue]], dtype=np.float32)
 
 
+def _check_channels(path: Path, pixels: int, channels: int) -> None:
+    if pixels * channels > MAX_VALUES:
+        raise AnalysisError(
+            f"{path} has {channels} channels of {pixels:,} pixels, at most {MAX_VALUES:,} values are read"
+        )
+
+
 def _colour_channels(path: Path, names: list[str]) -> tuple[int, int, int, int | None]:
     """Places of R, G, B and of A (None where there is none) among a file's channels."""
     try:
@@ -138,6 +148,15 @@ def _colour_channels(path: Path, names: list[str]) -> tuple[int, int, int, int |
         count = "1 channel" if len(names) == 1 else f"{len(names)} channels"
         raise AnalysisError(f"{path} has {count} ({listed}), it must have R, G and B") from None
     return red, green, blue, names.index("A") if "A" in names else None
+
+
+def check_png(path: Path) -> None:
+    """For a PNG that is handed on as it is: raises AnalysisError as `read_picture` does, without decoding it."""
+    _check_png_is_whole(path)
+    with path.open("rb") as file:
+        head = file.read(24)
+    # The first chunk of every PNG is IHDR, which begins with width and height.
+    _check_size(str(path), int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big"))
 
 
 def _check_png_is_whole(path: Path) -> None:

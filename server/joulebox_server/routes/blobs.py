@@ -46,13 +46,17 @@ router = versioned("blobs")
     responses={
         200: {"content": BYTES, "description": "The bytes."},
         206: {"content": BYTES, "description": "The Range asked for."},
+        304: {"description": "The ETag of If-None-Match: the asker has it."},
         **told(400, 404, 416),
     },
 )
-def get_blob(services: ServicesOf, _: Anyone, sha256: ShaPath) -> BlobFile:
+def get_blob(services: ServicesOf, _: Anyone, sha256: ShaPath, request: Request) -> Response:
     """The bytes, whole or the Range asked for."""
     found = services.store.read(blobs.find, services.store.blob_dir, sha256)
-    headers = {"ETag": f'"{sha256}"', "Cache-Control": FOREVER, "X-Content-Type-Options": "nosniff"}
+    tag = f'"{sha256}"'
+    headers = {"ETag": tag, "Cache-Control": FOREVER, "X-Content-Type-Options": "nosniff"}
+    if request.headers.get("if-none-match") == tag:
+        return Response(status_code=304, headers=headers)
     return BlobFile(found, media_type="application/octet-stream", headers=headers)
 
 

@@ -9,7 +9,7 @@ from fastapi.responses import FileResponse
 from sqlite_utils import Database
 
 from joulebox_server.analysis.difference import METRIC, VERSION
-from joulebox_server.analysis.images import read_picture, tonemap_png
+from joulebox_server.analysis.images import check_png, read_picture, tonemap_png
 from joulebox_server.errors import InvalidError, ServerError, UnavailableError
 from joulebox_server.problems import told
 from joulebox_server.routes.blobs import FOREVER, ShaPath
@@ -79,10 +79,11 @@ def image(
     """A stored picture for the eye: linear ones tone-mapped, PNGs (delta images) as they are."""
     path = services.store.read(blobs.find, services.store.blob_dir, sha256)
     headers = {"Cache-Control": FOREVER, "X-Content-Type-Options": "nosniff"}
-    with path.open("rb") as file:
-        if file.read(len(PNG_MAGIC)) == PNG_MAGIC:
-            return FileResponse(path, media_type="image/png", headers=headers)
     try:
+        with path.open("rb") as file:
+            if file.read(len(PNG_MAGIC)) == PNG_MAGIC:
+                check_png(path)  # a browser would decode whatever it says to be
+                return FileResponse(path, media_type="image/png", headers=headers)
         picture = read_picture(path)
     except ServerError as error:
         raise InvalidError(str(error).replace(str(path), f"the blob {sha256}")) from None

@@ -128,6 +128,16 @@ def test_too_many_pixels_are_refused_before_they_are_read(tmp_path, monkeypatch,
             read_picture(tmp_path / name)
 
 
+def test_too_many_values_are_refused_before_they_are_decoded(tmp_path, monkeypatch, picture):
+    """Channels beside R, G and B: constant ones take next to nothing in the file and all the memory once decoded."""
+    wide = np.concatenate([picture, np.zeros((24, 40, 9), np.float32)], axis=2)
+    path = write_exr(tmp_path / "a.exr", wide, [*"RGB", *(f"aov{i}" for i in range(9))])
+    np.testing.assert_array_equal(read_picture(path), picture)
+    monkeypatch.setattr(images, "MAX_VALUES", 24 * 40 * 12 - 1)
+    with pytest.raises(AnalysisError, match="has 12 channels of 960 pixels, at most 11,519 values are read"):
+        read_picture(path)
+
+
 def test_tone_map_clips_and_encodes():
     rgb = np.array([[[0.1, 0.5, 9.0], [np.nan, np.inf, -1.0]]], np.float32)
     shown = np.asarray(Image.open(io.BytesIO(tonemap_png(rgb, 2.0))))
