@@ -16,9 +16,7 @@ T = TypeVar("T")
 # Rays in flight per chunk: their arrays (about 60 bytes a ray) stay within a core's second-level cache.
 CHUNK_RAYS = 16_384
 # Work of less than this part of a chunk is not worth sharing among threads.
-SMALLEST_SHARE = 4
-# Chunks that each thread may still expect when the next is cut from what is left.
-CHUNKS_AHEAD = 2
+SMALLEST_SHARE = 3
 
 
 def usable_cores() -> int:
@@ -62,8 +60,8 @@ class WorkerPool:
         least = max(1, -(-most // SMALLEST_SHARE))
         even = max(1, -(-count // max(1, -(-count // most))))
         while (first := ranges[-1][1] if ranges else 0) < count:
-            ahead = -(-(count - first) // (CHUNKS_AHEAD * self.threads))
-            size = even if self.threads == 1 else min(most, max(least, ahead))
+            fair = -(-(count - first) // self.threads)
+            size = even if self.threads == 1 else min(most, max(least, fair))
             ranges.append((first, min(first + size, count)))
         return ranges
 
