@@ -16,7 +16,7 @@ T = TypeVar("T")
 # Rays in flight per chunk: their arrays (about 60 bytes a ray) stay within a core's second-level cache.
 CHUNK_RAYS = 16_384
 # Work of less than this part of a chunk is not worth sharing among threads.
-SMALLEST_SHARE = 4
+SMALLEST_SHARE = 3
 
 
 def usable_cores() -> int:
@@ -38,12 +38,11 @@ class WorkerPool:
         self._executor = ThreadPoolExecutor(self.threads, thread_name_prefix="render")
 
     def map_chunks(self, work: Callable[[int, int], T], count: int, rays_per_item: int) -> Iterator[T]:
-        """work(first, last) over [0, count) in even chunks of at most about `chunk_rays` rays; yields results in order.
+        """work(first, last) over [0, count) in chunks of at most about `chunk_rays` rays; yields results in order.
 
         Raises StoppedError, in place of the next chunk's result, after `stop`.
         """
-        step = self._even_step(count, max(1, self.chunk_rays // max(1, rays_per_item)))
-        ranges = [(first, min(first + step, count)) for first in range(0, count, step)]
+        ranges = self._cut(count, max(1, self.chunk_rays // max(1, rays_per_item)))
 
         def guarded(span: tuple[int, int]) -> T:
             if self._stop_asked.is_set():
@@ -52,12 +51,19 @@ class WorkerPool:
 
         return self._executor.map(guarded, ranges)
 
-    def _even_step(self, count: int, step: int) -> int:
-        """A step of at most `step` that leaves no thread waiting while others work on a last chunk."""
-        chunks = -(-count // step)
-        if count > step // SMALLEST_SHARE:
-            chunks = -(-chunks // self.threads) * self.threads
-        return max(1, -(-count // max(1, chunks)))
+    def _cut(self, count: int, most: int) -> list[tuple[int, int]]:
+        """Chunks of at most `most`, smaller and smaller towards the end: no thread waits long for another's last.
+
+        Source: Polychronopoulos & Kuck 1987, guided self-scheduling. One thread gets even chunks.
+        """
+        ranges: list[tuple[int, int]] = []
+        least = max(1, -(-most // SMALLEST_SHARE))
+        even = max(1, -(-count // max(1, -(-count // most))))
+        while (first := ranges[-1][1] if ranges else 0) < count:
+            fair = -(-(count - first) // self.threads)
+            size = even if self.threads == 1 else min(most, max(least, fair))
+            ranges.append((first, min(first + size, count)))
+        return ranges
 
     def stop(self) -> None:
         """Give up all work from the next chunk on; may be called by a signal handler."""

@@ -9,6 +9,7 @@ pixels with Mitsuba stopped early; its figures only show that everything runs, a
 from __future__ import annotations
 
 import argparse
+import functools
 import os
 import sys
 import time
@@ -20,7 +21,7 @@ from joulebox_render.bench import machine, shrink
 from joulebox_render.errors import RenderError
 
 from . import difference_speed, gains, growth, mitsuba_side, rates, rivals
-from .candidates import Measured, is_preset, measure_front
+from .candidates import Measured, cost_ratio, is_preset, measure_front
 from .references import load_reference
 from .table import Row, goals, markdown_table
 
@@ -63,7 +64,7 @@ def rival_rows(run: Run) -> tuple[list[Row], list[Measured]]:
         theirs = rivals.mitsuba_curve(scene, truth, until, run.say, run.size) if has_llvm else []
         rows += [rivals.ratio_row(goal, ours, theirs) for goal in rivals.GOALS if goal.scene == scene]
         rows += [rivals.relmse_row(*goal, ours) for goal in rivals.RELMSE_GOALS if goal[0] == scene]
-        rows.append(rivals.front_row(scene, ours))
+        rows.append(rivals.front_row(scene, ours, functools.partial(cost_ratio, scene, size=run.film)))
         all_ours += ours
     return rows, all_ours
 

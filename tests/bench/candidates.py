@@ -24,6 +24,10 @@ FRONT: list[Values] = [
     {"preset": "draft", "samples_per_pixel": 2, "shadow_rays": 4, "global_photons": 20_000},
     {"preset": "draft", "samples_per_pixel": 2, "shadow_rays": 4, "caustic_photons": 60_000},
     {"preset": "draft", "samples_per_pixel": 2, "shadow_rays": 4, "final_gather_rays": 121},
+    {"preset": "draft", "samples_per_pixel": 2, "shadow_rays": 4, "irradiance_cache_tolerance": 1.5,
+     "gather_distance_m": 0.03, "final_gather_rays": 80},
+    {"preset": "draft", "samples_per_pixel": 2, "shadow_rays": 4, "irradiance_cache_tolerance": 1.5,
+     "gather_distance_m": 0.03, "final_gather_rays": 100, "global_photons": 20_000},
     {"preset": "draft", "final_gather_rays": 100, "global_photons": 20_000},
     {"preset": "draft", "final_gather_rays": 256, "caustic_photons": 60_000},
     {"preset": "draft", "caustic_photons": 60_000, "global_photons": 100_000, "gather_distance_m": 0.02},
@@ -33,6 +37,7 @@ FRONT: list[Values] = [
      "gather_distance_m": 0.03},
     {"preset": "draft", "irradiance_cache_tolerance": 1.5, "final_gather_rays": 196, "global_photons": 60_000,
      "gather_distance_m": 0.03, "caustic_photons": 60_000},
+    {"irradiance_cache_tolerance": 1.5, "final_gather_rays": 225},
     {"irradiance_cache_tolerance": 1.5, "final_gather_rays": 484},
     {"irradiance_cache_tolerance": 1.2, "samples_per_pixel": 4},
     {"irradiance_cache_tolerance": 1.5, "final_gather_rays": 441},
@@ -47,6 +52,8 @@ FRONT: list[Values] = [
 # A picture below this is rendered once to warm up and WARM_TURNS times to be timed; a dearer one once.
 WARM_BELOW_CPU_S = 1.5
 WARM_TURNS = 3
+# Turns that decide which of two configurations is cheaper.
+COMPARED_TURNS = 5
 
 
 class Measured(NamedTuple):
@@ -99,6 +106,15 @@ def measure_front(scene: str, reference: F4, say: Callable[[str], None], size: V
     """Every candidate on one scene, cheapest first."""
     found = [measure(scene, values, reference, say, size) for values in FRONT]
     return sorted((each for each in found if each), key=lambda each: each.cpu_s)
+
+
+def cost_ratio(scene: str, one: str, other: str, size: Values) -> float:
+    """CPU seconds of one candidate over another's: the median over turns of both, since a single run is noisy."""
+    named = {name_of(values): values for values in FRONT}
+    settings = [make_settings(named[name], size) for name in (one, other)]
+    with Session(scene, settings[0]) as first, Session(scene, settings[1]) as second:
+        turns = [(first.render().cpu_s, second.render().cpu_s) for _ in range(1 + COMPARED_TURNS)]
+    return statistics.median(a / b for a, b in turns[1:])
 
 
 def is_preset(measured: Measured) -> bool:

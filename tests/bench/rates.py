@@ -72,7 +72,7 @@ def gather_row(say: Callable[[str], None], size: Mapping[str, Any]) -> Row:
     )  # fmt: skip
 
 
-def threads_row(say: Callable[[str], None], size: Mapping[str, Any], turns: int = 3) -> Row:
+def threads_row(say: Callable[[str], None], size: Mapping[str, Any], turns: int = 7) -> Row:
     """How much faster two threads are than one, stage by stage, over how much faster they make bare embreex."""
     what = f"threads: {RATE_SCENE}, 1 to 2, wall time, stages over {1000 * SHORTEST_STAGE_S:.0f} ms"
     goal = f">= {SCALING_LIMIT} of raw embreex' own scaling in the same run"

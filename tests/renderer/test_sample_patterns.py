@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from joulebox_render.kernels.rng import child_key, sample_2d, uniform
+from joulebox_render.kernels.rng import child_key, fill_lattice, sample_2d, uniform
 from joulebox_render.kernels.transport import camera_rays
 from joulebox_render.records import Rays
 from joulebox_render.stages.context import Context
@@ -89,6 +89,64 @@ def test_stratified_samples_are_uniform_together(count: int) -> None:
     samples = np.concatenate([pattern(key, count) for key in keys(12_000 // count)])
     counts = binned(8, *samples.T)
     assert stats.chisquare(counts.ravel()).pvalue > ALPHA
+
+
+def lattice(key: np.uint64, columns: int, count: int) -> Any:
+    samples = np.empty((2, count), np.float32)
+    fill_lattice(key, 0, count, columns, samples[0], samples[1], 0)
+    return samples.T.astype(np.float64)
+
+
+GATHER_GRIDS = [(3, 12), (5, 80), (9, 252), (14, 574)]
+
+
+@pytest.mark.parametrize(("columns", "count"), GATHER_GRIDS)
+def test_a_lattice_has_one_sample_in_every_cell_in_the_order_of_cells(columns: int, count: int) -> None:
+    for key in keys(20):
+        u, v = lattice(key, columns, count).T
+        assert np.floor(u * columns).astype(int).tolist() == list(range(columns)) * (count // columns)
+        np.testing.assert_array_equal(np.floor(v * (count // columns)), np.repeat(range(count // columns), columns))
+
+
+@pytest.mark.parametrize("cell", [0, 7, 79])
+def test_a_lattices_point_is_uniform_in_its_cell(cell: int) -> None:
+    """What makes its means unbiased: each of its points is, over keys."""
+    columns, count = 5, 80
+    u, v = np.array([lattice(key, columns, count)[cell] for key in keys(4096)]).T
+    assert_fits(binned(8, u * columns % 1, v * (count // columns) % 1))
+
+
+def smooth(x: Any, y: Any) -> Any:
+    """Light that falls off around a place of the hemisphere, which is seen as a disc."""
+    return np.exp(-3 * ((x - 0.4) ** 2 + (y + 0.2) ** 2))
+
+
+def edge(x: Any, _y: Any) -> Any:
+    """Light on one side of a line."""
+    return 1.0 * (x > 0.37)
+
+
+@pytest.mark.parametrize(("columns", "count"), GATHER_GRIDS[1:])
+@pytest.mark.parametrize(("light", "share"), [(smooth, 0.5), (edge, 0.85)])
+def test_a_lattices_means_err_less_than_a_jittered_grids(
+    light: Callable[[Any, Any], Any], share: float, columns: int, count: int
+) -> None:
+    """Root mean squares over 400 keys, each known to 3.5 %: 0.35 was seen of smooth light, 0.57 to 0.73 at an edge.
+
+    Both are free of bias: the means of all differ by less than 4.5 sigma.
+    """
+
+    def mean(samples: Any) -> float:
+        u, v = samples.T
+        return float(light(np.sqrt(u) * np.cos(2 * np.pi * v), np.sqrt(u) * np.sin(2 * np.pi * v)).mean())
+
+    def jittered(key: np.uint64) -> Any:
+        return np.array([sample_2d(key, 0, 1, i, count, columns) for i in range(count)])
+
+    placed = np.array([mean(lattice(key, columns, count)) for key in keys(400)])
+    random = np.array([mean(jittered(key)) for key in keys(400)])
+    assert placed.std() < share * random.std()
+    assert abs(placed.mean() - random.mean()) < 4.5 * np.hypot(placed.std(), random.std()) / 20
 
 
 def test_independent_samples_are_uniform_and_independent() -> None:

@@ -179,10 +179,11 @@ def clamp_neighbours(cache, grid, reach):
 def interpolate_irradiance(cache, grid, tolerance, gradients, points, irradiance, radius):
     """Irradiance (N, 3) f4 at points from the records that are good enough there, and their mean radius (N,) f4 [m].
 
-    radius is 0 where no record is good enough. w_i = 1 / (|x - x_i| / R_i + sqrt(1 - n . n_i)) - 1 / tolerance, where
-    that is positive; records' order in the grid is fixed, so sums do not depend on how the points were cut into chunks.
+    radius is 0 where no record is good enough. w_i = 1 - (|x - x_i| / R_i + sqrt(1 - n . n_i)) / tolerance, where that
+    is positive (Tabellion & Lamorlette): Ward's inverse of the error shows the noise of each record around its place,
+    this blends it with its neighbours'. Records' order in the grid is fixed, so sums do not depend on how the points
+    were cut into chunks.
     """
-    least = 1.0 / tolerance
     for q in range(points.owner.shape[0]):
         x, y, z = row3(points.position, q)
         nx, ny, nz = row3(points.normal, q)
@@ -205,7 +206,7 @@ def interpolate_irradiance(cache, grid, tolerance, gradients, points, irradiance
                 continue
             if dx * (nx + mx) + dy * (ny + my) + dz * (nz + mz) < -2.0 * BEHIND * r:
                 continue
-            weight = 1.0 / max(error, 1e-6) - least
+            weight = 1.0 - error / tolerance
             er, eg, eb = row3(cache.irradiance, i)
             if gradients:
                 # n_i x n: the axis about which the normal turned, as long as the sine of the angle.

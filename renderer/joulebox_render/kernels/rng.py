@@ -7,6 +7,8 @@ with a counter. Sobol samples take `sample` as the index into a sequence that th
 scramble, so that the paths of a family cover their common space evenly.
 """
 
+import math
+
 import numpy as np
 from numba import types
 from numba.extending import intrinsic
@@ -24,6 +26,8 @@ _TO_UNIT = 2.0**-53
 _TO_UNIT_32 = np.float32(2.0**-32)
 # The largest number below 1 in single precision.
 BELOW_ONE = np.float32(1.0 - 2.0**-24)
+# Its multiples, modulo 1, fall into the largest gaps that are left between them.
+_GOLDEN_SECTION = 0.6180339887498949
 # What `columns` says of samples that are in no grid.
 INDEPENDENT, SOBOL = -1, 0
 
@@ -203,3 +207,24 @@ def fill_cells(path, dimension, count, columns, u, v, first):
                 at = first + j * columns + i
                 u[at] = min((i + u[at]) * width, BELOW_ONE)
                 v[at] = min((j + v[at]) * height, BELOW_ONE)
+
+
+@device
+def fill_lattice(key, sample, count, columns, u, v, first):
+    """A grid of columns x (count / columns) cells with one point in each, cells of a row and rows following each other.
+
+    Where the points lie in their cells goes on by the golden section from row to row in u, from column to column in v,
+    from a place drawn at random: each is uniform in its cell, and together they leave no gaps. Means of 80 to 600 of
+    them err by a third (smooth light) to three quarters (an edge) of what jitter in each cell leaves, for less work.
+    """
+    path = member_key(key, sample)
+    start, across = uniform(path, 1), uniform(path, 2)
+    width, height = 1.0 / columns, 1.0 / (count // columns)
+    for j in range(count // columns):
+        along = start + j * _GOLDEN_SECTION
+        along -= math.floor(along)
+        for i in range(columns):
+            up = across + i * _GOLDEN_SECTION
+            at = first + j * columns + i
+            u[at] = min(np.float32((i + along) * width), BELOW_ONE)
+            v[at] = min(np.float32((j + up - math.floor(up)) * height), BELOW_ONE)

@@ -4,7 +4,7 @@ import numpy as np
 
 from joulebox_render.kernels.compilation import device, kernel
 from joulebox_render.kernels.importance import warp_to_cells
-from joulebox_render.kernels.rng import child_key, draw_1d, draw_2d, fill_2d, path_key, sample_2d
+from joulebox_render.kernels.rng import child_key, draw_1d, draw_2d, fill_2d, fill_lattice, path_key, sample_2d
 from joulebox_render.kernels.surface import surface_at_hit
 from joulebox_render.kernels.vector import (
     cosine_direction,
@@ -124,16 +124,29 @@ def follow_glass(tables, material, split, sobol, rays, i, at, following, row):
 
 
 @device
+def lifted(tables, at):
+    """The place of a hit, off the surface."""
+    _, px, py, pz, gx, gy, gz, _, _, _ = at
+    epsilon = tables.epsilon[0]
+    return px + epsilon * gx, py + epsilon * gy, pz + epsilon * gz
+
+
+@device
+def mirrored(rays, i, at):
+    """Where a mirror at `at` would send a ray."""
+    dx, dy, dz = row3(rays.direction, i)
+    return reflected(dx, dy, dz, at[7], at[8], at[9])
+
+
+@device
 def follow_mirror(tables, material, rays, i, at, following, row):
     """Write the ray that goes on from a mirror at `at`."""
-    _, px, py, pz, gx, gy, gz, sx, sy, sz = at
-    dx, dy, dz = row3(rays.direction, i)
-    rx, ry, rz = reflected(dx, dy, dz, sx, sy, sz)
+    px, py, pz = lifted(tables, at)
+    rx, ry, rz = mirrored(rays, i, at)
     wx, wy, wz = row3(rays.weight, i)
     ax, ay, az = row3(tables.material_albedo, material)
-    epsilon = tables.epsilon[0]
     push_ray(
-        following, row, px + epsilon * gx, py + epsilon * gy, pz + epsilon * gz, rx, ry, rz,
+        following, row, px, py, pz, rx, ry, rz,
         wx * ax, wy * ay, wz * az, rays.owner[i], child_key(rays.key[i], 0), rays.sample[i],
     )  # fmt: skip
 
@@ -154,19 +167,23 @@ def phong_parts(tables, material, split, sobol, rays, i):
 
 
 @device
+def push_hit(rays, hits, i, at, place, albedo, scale, key, points, row):
+    """Write what a ray meets at `at` as a point that reflects `albedo`, at `place`, for `scale` of the ray's weight."""
+    _, _, _, _, gx, gy, gz, sx, sy, sz = at
+    (px, py, pz), (ax, ay, az) = place, albedo
+    wx, wy, wz = row3(rays.weight, i)
+    push_point(
+        points, row, px, py, pz, gx, gy, gz, sx, sy, sz, ax, ay, az, wx * scale, wy * scale, wz * scale,
+        rays.owner[i], key, rays.sample[i], hits.distance[i],
+    )  # fmt: skip
+
+
+@device
 def push_lobe(tables, material, rays, hits, i, at, scale, lobes, row):
     """Write the lobe of a Phong surface at `at`."""
-    _, px, py, pz, gx, gy, gz, sx, sy, sz = at
-    dx, dy, dz = row3(rays.direction, i)
-    rx, ry, rz = reflected(dx, dy, dz, sx, sy, sz)
-    wx, wy, wz = row3(rays.weight, i)
-    cx, cy, cz = row3(tables.material_glossy, material)
-    epsilon = tables.epsilon[0]
-    push_point(
-        lobes.at, row, px + epsilon * gx, py + epsilon * gy, pz + epsilon * gz, gx, gy, gz, sx, sy, sz, cx, cy, cz,
-        wx * scale, wy * scale, wz * scale,
-        rays.owner[i], child_key(rays.key[i], LOBE_BRANCH), rays.sample[i], hits.distance[i],
-    )  # fmt: skip
+    glossy, key = row3(tables.material_glossy, material), child_key(rays.key[i], LOBE_BRANCH)
+    push_hit(rays, hits, i, at, lifted(tables, at), glossy, scale, key, lobes.at, row)
+    rx, ry, rz = mirrored(rays, i, at)
     set_row3(lobes.mirror, row, rx, ry, rz)
     lobes.exponent[row] = tables.material_exponent[material]
 
@@ -179,19 +196,6 @@ def kept_weight(sobol, rays, i):
     if weight >= POINT_WEIGHT:
         return 1.0
     return POINT_WEIGHT / weight if draw_1d(sobol, rays.key[i], rays.sample[i], 1) * POINT_WEIGHT < weight else 0.0
-
-
-@device
-def reach_point(tables, material, rays, hits, i, at, scale, points, row):
-    """Write the diffuse point at `at`."""
-    _, px, py, pz, gx, gy, gz, sx, sy, sz = at
-    wx, wy, wz = row3(rays.weight, i)
-    ax, ay, az = row3(tables.material_albedo, material)
-    epsilon = tables.epsilon[0]
-    push_point(
-        points, row, px + epsilon * gx, py + epsilon * gy, pz + epsilon * gz, gx, gy, gz, sx, sy, sz, ax, ay, az,
-        wx * scale, wy * scale, wz * scale, rays.owner[i], rays.key[i], rays.sample[i], hits.distance[i],
-    )  # fmt: skip
 
 
 @kernel
@@ -236,15 +240,17 @@ def advance(tables, split, sobol, rays, hits, points, lobes, following):
         if diffuse > 0.0 and split:
             diffuse *= kept_weight(sobol, rays, i)
         if diffuse > 0.0:
-            reach_point(tables, material, rays, hits, i, at, diffuse, points, point_count)
+            albedo = row3(tables.material_albedo, material)
+            push_hit(rays, hits, i, at, lifted(tables, at), albedo, diffuse, rays.key[i], points, point_count)
             point_count += 1
     return point_count, lobe_count, ray_count
 
 
 @kernel
-def gather_rays(points, first, last, count, columns, chance, u, v, rays):
+def gather_rays(points, first, last, count, columns, lattice, chance, u, v, rays):
     """Cosine-distributed rays into the hemisphere over points [first, last), `count` a point.
 
+    They are placed by `fill_2d`, or where `lattice` by `fill_lattice`.
     chance (last - first, cells) f4 of kernels.importance bends the distribution; without rows it has no say. A
     ray's weight is the cosine density over its own, 0 where an interpolated normal sends it below the surface: pi
     times the mean of weight x incident radiance is the irradiance. owner is the ray's own row. rays is overwritten,
@@ -258,7 +264,10 @@ def gather_rays(points, first, last, count, columns, chance, u, v, rays):
         gx, gy, gz = row3(points.geometric, point)
         key, sample = child_key(points.key[point], GATHER_BRANCH), points.sample[point]
         onward = child_key(key, 0)
-        fill_2d(key, sample, 1, 1, count, columns, u, v, row)
+        if lattice:
+            fill_lattice(key, sample, count, columns, u, v, row)
+        else:
+            fill_2d(key, sample, 1, 1, count, columns, u, v, row)
         for i in range(count):
             a, b, weight = np.float64(u[row]), np.float64(v[row]), 1.0
             if bent:

@@ -54,11 +54,13 @@ def rays_per_gather(context: Context, gathers: int, count: int) -> int:
     return max(1, count // max(1, min(MOST_TOGETHER, together)))
 
 
-def aim_gather(points: Points, first: int, last: int, count: int, columns: int, chance: F4) -> Rays:
+def aim_gather(
+    points: Points, first: int, last: int, count: int, columns: int, chance: F4, lattice: bool = False
+) -> Rays:
     """`count` gather rays from each of points [first, last); see kernels.transport.gather_rays."""
     rays = Rays.empty((last - first) * count)
     u, v = np.empty((2, len(rays.owner)), np.float32)
-    gather_rays(points, first, last, count, columns, chance, u, v, rays)
+    gather_rays(points, first, last, count, columns, lattice, chance, u, v, rays)
     return rays
 
 

@@ -37,6 +37,10 @@ PLACING = 0.6
 HEADROOM = 0.25
 # Entries of the grid for each record, in the mean.
 MOST_ENTRIES = 64
+# A gather is made again where its standard error is more than this share of what it found: where fewer than about
+# sixteen rays bring all the light. Darker than DARK, a mean square of radiances [W^2 m^-4 sr^-2], is no light.
+UNSURE, DARK = 0.25, 1e-30
+AGAIN_BRANCH = np.uint64(1)
 # Rays of a gather where no record reaches.
 LEAST_RAYS = 16
 # A point costs about as much as this many rays.
@@ -127,21 +131,47 @@ def least_pixels(tolerance: float) -> float:
 
 
 def gather_records(context: Context, camera: Camera, light: Illumination, points: Points) -> CacheRecords:
-    """Final gathers at points made records."""
+    """Final gathers at points made records.
+
+    Where a few rays bring most of the light, as in dim places with a small view of a lit one, their mean is unsure and
+    would be seen as far as the record reaches: another gather of four times as many takes its place.
+    """
+    polar = max(1, round(math.sqrt(context.settings.final_gather_rays / math.pi)))
+    azimuth = max(3, context.settings.final_gather_rays // polar)
+    records, doubt = gather_grids(context, camera, light, points, polar, azimuth)
+    unsure = np.flatnonzero(doubt > UNSURE)
+    again = Points(*rows(points, unsure))
+    better, _ = gather_grids(
+        context, camera, light, again._replace(key=again.key + AGAIN_BRANCH), 2 * polar, 2 * azimuth
+    )
+    for column, row in zip(records, better, strict=True):
+        column[unsure] = row
+    return records
+
+
+def gather_grids(
+    context: Context, camera: Camera, light: Illumination, points: Points, polar: int, azimuth: int
+) -> tuple[CacheRecords, F8]:
+    """Records of gathers of polar x azimuth rays, and the doubt (N,) f8 in each: the standard error of its mean over
+    the mean, as if its rays were independent.
+    """
     settings = context.settings
     assert settings.width and settings.height
-    polar = max(1, round(math.sqrt(settings.final_gather_rays / math.pi)))
-    azimuth = max(3, settings.final_gather_rays // polar)
     count, strata = polar * azimuth, Strata.of(polar, azimuth)
     frame = camera_frame(camera, settings.width, settings.height)
     pixel = 2.0 * float(np.linalg.norm(frame[1])) / settings.width
     footprint = pixel * np.linalg.norm(points.position - frame[0], axis=1) / settings.irradiance_cache_tolerance
     least = least_pixels(settings.irradiance_cache_tolerance)
     near, far = (np.asarray(pixels * footprint, np.float32) for pixels in (least, MOST_PIXELS))
+    doubt = np.empty(len(points.owner))
 
     def chunk(first: int, last: int) -> CacheRecords:
-        rays = aim_gather(points, first, last, count, polar, NOT_BENT)
+        rays = aim_gather(points, first, last, count, polar, NOT_BENT, lattice=context.sobol)
         incident, distance = incident_radiance(context, light, rays)
+        brought = incident.sum(axis=1).reshape(-1, count)
+        # Of count numbers with mean m and mean square s the mean's standard error is sqrt((s - m^2) / count).
+        mean2, square = brought.mean(axis=1) ** 2, np.einsum("ij,ij->i", brought, brought) / count
+        doubt[first:last] = np.sqrt(np.maximum(0.0, square - mean2) / (count * np.maximum(mean2, DARK)))
         part = CacheRecords.empty(last - first)
         summarize_gather(
             points, first, strata, settings.irradiance_cache_tolerance, incident, distance,
@@ -151,7 +181,7 @@ def gather_records(context: Context, camera: Camera, light: Illumination, points
 
     gathers = len(points.owner)
     parts = list(context.pool.map_chunks(chunk, gathers, rays_per_gather(context, gathers, count)))
-    return CacheRecords(*map(np.concatenate, zip(CacheRecords.empty(0), *parts, strict=True)))
+    return CacheRecords(*map(np.concatenate, zip(CacheRecords.empty(0), *parts, strict=True))), doubt
 
 
 def index_records(records: CacheRecords, tolerance: float) -> IrradianceCache:
