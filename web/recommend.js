@@ -9,6 +9,7 @@ const IMAGES = 1000;
 const STEPS = 1000; // of the slider, evenly in the logarithm
 let latest = 0;
 let shown = null; // what the box says now, so that a live update does not have it read out again
+let answered = null; // the question that it answers
 let context = null;
 let span = null;
 
@@ -84,7 +85,8 @@ export async function showRecommendation(box, given, loaded, choose) {
   const timeOnly = head.energy_quality === "time_only";
   const asked = budgetQuery({ ...view, unit: timeOnly ? "s" : view.unit }, timeOnly);
   if (!asked || !rows.length) {
-    shown = null;
+    shown = answered = null;
+    box.setAttribute("aria-busy", "false");
     fill(box, quiet(rows.length ? `Say what a picture may cost${timeOnly ? " in seconds" : ""}, and joulebox names the settings that give `
       + "the best picture for it." : "It answers as soon as there are points to choose from."));
     return;
@@ -92,16 +94,21 @@ export async function showRecommendation(box, given, loaded, choose) {
   const question = query({ scene: head.scene, device: head.device, ...asked, difference_limit: view.limit, predict: view.untried });
   const path = `/v1/sweeps/${encodeURIComponent(head.sweep_id)}/recommendation`;
   if (shown === null) fill(box, quiet("Looking for the settings that it buys …"));
+  box.setAttribute("aria-busy", String(path + question !== answered)); // an old answer stays in sight, but fades
   try {
     const answer = await getJson(path + question);
     const text = JSON.stringify([answer, rows.length]);
-    if (turn !== latest || text === shown) return;
+    if (turn !== latest) return;
+    answered = path + question;
+    box.setAttribute("aria-busy", "false");
+    if (text === shown) return;
     shown = text;
     const tools = { rows, choose, head, confirm: confirmation(path, question, answer) };
     fill(box, answer.answer === "settings" ? found(answer, tools) : none(answer, tools));
   } catch (error) {
     if (turn !== latest) return;
-    shown = null;
+    shown = answered = null;
+    box.setAttribute("aria-busy", "false");
     fill(box, problem(error));
   }
 }

@@ -60,7 +60,8 @@ export async function showSweepView(given) {
   const { view } = context;
   if (!view.sweep) return showNothing();
   const wanted = JSON.stringify(["sweep", "scene", "device", "x", "y", "scale", "colour", "only", "predicted"].map((key) => view[key]));
-  if (loaded.sweep?.id !== view.sweep) fill(at("overview"), quiet("Loading the sweep …"));
+  at("sweep").inert = loaded.sweep?.id !== view.sweep; // what is still in sight belongs to another sweep
+  if (at("sweep").inert) fill(at("overview"), quiet("Loading the sweep …"));
   if (stale || loaded.for !== wanted || !fits()) {
     if (stale || underWay.wanted !== wanted || loaded.for === wanted) begin(wanted);
     const { done, signal } = underWay;
@@ -137,7 +138,7 @@ function showSweep() {
   const { view, change } = context;
   document.title = `${sweep.name} · joulebox`;
   showOverview(at("overview"), loaded, context);
-  at("sweep").hidden = false;
+  Object.assign(at("sweep"), { hidden: false, inert: false });
   for (const badge of document.querySelectorAll("[data-quality]")) {
     const { label, explanation } = quality(head.energy_quality);
     Object.assign(badge, { textContent: label, title: explanation, className: `quality ${head.energy_quality}` });

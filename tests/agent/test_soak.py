@@ -38,6 +38,7 @@ class Trouble:
         self.random, self.every_s = Random(f"faults {seed}"), every_s
         self.undo: list[tuple[float, str]] = []
         self.happened: dict[str, int] = {}
+        self.to_come: list[str] = []  # every kind once, in random order, before any comes again
         self.screen = machine.root / "class/backlight/panel"
         self.screen.mkdir(parents=True)
         (self.screen / "max_brightness").write_text("100")
@@ -49,7 +50,8 @@ class Trouble:
             self.undo.remove(due)
             self.set(machine, due[1], False)
         if self.random.random() < machine.gauge_s / self.every_s:
-            kind = self.random.choice(self.KINDS)
+            self.to_come = self.to_come or self.random.sample(self.KINDS, len(self.KINDS))
+            kind = self.to_come.pop()
             self.happened[kind] = self.happened.get(kind, 0) + 1
             lasts_s = {"flap": 4.0, "mains": 120.0, "error": 8.0, "dead sensor": 90.0, "freeze": 150.0, "pull": 6.0}
             self.set(machine, kind, True)

@@ -143,6 +143,8 @@ def test_promising_settings_are_shown_and_queued(browser: Browser, fleet: Fleet,
         page.get_by_label("predictions too").check()
         expect(page.locator("#tradeoff svg")).to_contain_text("predicted, not measured")
         page.get_by_label("settings never measured too").check()
+        expect(page.locator("#recommendation")).to_contain_text("and 1 predicted")  # not the answer from before
+        expect(page.locator("#recommendation")).to_have_attribute("aria-busy", "false")
         page.get_by_role("button", name="Measure").click()
         sign_in(page, fleet.operator_token)
         expect(page.locator("#recommendation")).to_contain_text("queued; the answer changes as they arrive")
@@ -172,6 +174,7 @@ def test_asks_for_a_token(browser: Browser, tmp_path: Path) -> None:
         sign_in(page, closed.viewer_token)
         expect(page.get_by_role("dialog")).to_be_hidden()
         page.get_by_role("button", name="cornell-grid").click()
+        expect(page.get_by_role("heading", name="cornell-grid")).to_be_visible()  # the points are its own now
         page.locator(POINTS).first.click(force=True)
         expect(page.locator("img[data-picture=delta]")).to_be_visible()
         page.get_by_role("link", name="Compare closely").click()
