@@ -26,6 +26,7 @@ HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "server")]
 
 from crowd import answers, fill_crowd  # noqa: E402
+from joulebox_server.cli.serving import YOUNG_OBJECTS  # noqa: E402
 from joulebox_server.schemas.measure import MeasureDocument  # noqa: E402
 from joulebox_server.store import Store, leases, results  # noqa: E402
 from joulebox_server.store.jobs import LeaseRules  # noqa: E402
@@ -129,6 +130,7 @@ def bare_writer(seconds: float, jobs_each: int, folder: Path) -> float:
     done, spent_s = 0, 0.0
     gc.collect()
     gc.freeze()
+    gc.set_threshold(YOUNG_OBJECTS)
     while spent_s < seconds:
         device: Device = devices[done % len(devices)]
         began_s = time.perf_counter()

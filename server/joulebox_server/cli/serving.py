@@ -36,6 +36,8 @@ from joulebox_server.store import Store, tokens
 
 GRACE_S = 3
 """How long open requests may take to end after Ctrl-C."""
+YOUNG_OBJECTS = 10_000
+"""New objects after which Python looks for circles among them; requests under way are more than its usual 700."""
 LONGEST_LOG_BYTES = 10 << 20
 OLD_LOGS = 3
 
@@ -157,6 +159,7 @@ class _Server(uvicorn.Server):
             # What is loaded now stays: without this every full collection walks through all libraries again.
             gc.collect()
             gc.freeze()
+            gc.set_threshold(YOUNG_OBJECTS)
             self._on_start()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
