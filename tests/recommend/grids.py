@@ -55,7 +55,7 @@ class Grid:
     own_from: float = SEEDS["C"][0]
 
     def seed_of(self, settings: Settings, number: int) -> int:
-        """What the renderer is given for a seed of the tables: itself, or from `own_from` on the configuration's own."""
+        """What the renderer is given for a seed of the tables: itself, or from `own_from` on one of its own."""
         return number if number < self.own_from else own_seed(0, settings, number)
 
     def has_own_seeds(self, name: str) -> bool:

@@ -92,7 +92,7 @@ def _smooth(factors: list[Factor], codes: NDArray[np.intp], variance: Array, rep
     model = Anova(factors, codes, np.log(variance * repeats), np.zeros(len(variance)))
     told = model.predict(codes)
     level = np.log(np.mean(variance * repeats)) - np.log(np.mean(np.exp(told.mean)))
-    return np.exp(told.mean + level) / repeats
+    return np.asarray(np.exp(told.mean + level) / repeats)
 
 
 def _fitted(factors: list[Factor], codes: NDArray[np.intp], values: Array, variance: Array) -> Anova:
