@@ -103,7 +103,7 @@ def sparse_grids(scenes: Sequence[Known], questions: int) -> tuple[list[tuple[st
         strategies = {"joulebox --predict": joulebox_predicting, "joulebox": joulebox}
         found = score(held, strategies, budget_question, SEED + 2, questions, SHARE)
         confirming = {f"joulebox --confirm {CONFIRMED_AT_ONCE}, {CONFIRM_ROUNDS} times": joulebox_confirming}
-        fewer = max(questions // 2, PER_CAMPAIGN)  # each question measures more for itself
+        fewer = max(questions // 5, PER_CAMPAIGN)  # each question measures more for itself
         found |= score(held, confirming, budget_question, SEED + 2, fewer, FIRST_SHARE)
         lines += [table_row(scene, words, name, each) for name, each in found.items()]
         for name in ("joulebox --predict", *confirming):
@@ -111,7 +111,7 @@ def sparse_grids(scenes: Sequence[Known], questions: int) -> tuple[list[tuple[st
             what = f"{scene}: {SHARE:.0%} measured: median regret of {name}"
             rows.append(Row(what, goal, f"{regret:.0%}", regret <= PREDICTED_REGRET_GOAL))
         low, high = COVERAGE_GOAL
-        for quantity, share in coverage(held, max(questions // (3 * PER_CAMPAIGN), 2)).items():
+        for quantity, share in coverage(held, max(questions // 15, 2)).items():
             rows.append(Row(f"{scene}: {SHARE:.0%} measured: 95 % intervals of {quantity} that hold the truth",
                             f"{low:.0%} to {high:.0%}", f"{share:.1%}", low <= share <= high))  # fmt: skip
     return lines, rows
@@ -158,7 +158,7 @@ def main() -> int:
     parser.add_argument("--questions", type=int, default=QUESTIONS, help=f"to each strategy (default {QUESTIONS})")
     parser.add_argument("--scene", nargs="+", choices=GRIDS, default=list(GRIDS), help="all unless named")
     parser.add_argument(
-        "--tuning", choices=SEEDS, metavar="SET", help="score seeds that served to choose rules: A or B"
+        "--tuning", choices=SEEDS, metavar="SET", help="score seeds that served to choose rules: A or C"
     )
     given = parser.parse_args()
     if given.questions < PER_CAMPAIGN:

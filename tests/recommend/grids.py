@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,12 +16,20 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from joulebox_server.sweeps.seeds import own_seed
+
 DATA = Path(__file__).parent / "data"
 SIDE = 96
 """Pixels of a side: as small as keeps the scenes recognisable, so that thousands of renders take minutes."""
 
-SEEDS = {"A": (0, 1, 2, 3, 4), "B": (5, 6, 7, 8, 9)}
-TRUTH_SEEDS = {"A": tuple(range(10, 17)), "B": tuple(range(20, 28))}
+SEEDS = {"A": (0, 1, 2, 3, 4), "B": (5, 6, 7, 8, 9), "C": (30, 31, 32, 33, 34), "D": (60, 61, 62, 63, 64)}
+"""Of each set. Those of A and B are the same for all configurations; see `Grid.seed_of`."""
+TRUTH_SEEDS = {
+    "A": tuple(range(10, 17)),
+    "B": tuple(range(20, 28)),
+    "C": (*SEEDS["A"], *range(10, 17)),
+    "D": tuple(range(70, 78)),
+}
 """More seeds for configurations near the front, where one in two decides which of them is truly the best."""
 COST_SEEDS = (*SEEDS["A"], *SEEDS["B"])
 """Whose CPU seconds tell what is true of costs: all renders with one of these seeds are of one build of the renderer.
@@ -41,8 +50,17 @@ class Grid:
     exposure: float
     fixed: Settings
     axes: Mapping[str, tuple[Any, ...]]
-    tuned: tuple[str, ...] = ("A",)
-    scored: str = "B"
+    tuned: tuple[str, ...] = ("A", "C")
+    scored: str = "D"
+    own_from: float = SEEDS["C"][0]
+
+    def seed_of(self, settings: Settings, number: int) -> int:
+        """What the renderer is given for a seed of the tables: itself, or from `own_from` on one of its own."""
+        return number if number < self.own_from else own_seed(0, settings, number)
+
+    def has_own_seeds(self, name: str) -> bool:
+        """Whether each configuration has seeds of its own in a set."""
+        return min(SEEDS[name]) >= self.own_from
 
     @cached_property
     def configurations(self) -> list[dict[str, Any]]:
@@ -84,7 +102,14 @@ GRIDS = {
             {"samples_per_pixel": (2, 4, 9), "shadow_rays": (1, 4), "gather_distance_m": (0.01, 0.03, 0.09),
              "global_photons": (5_000, 20_000, 60_000), "final_gather_rays": (64, 144, 324),
              "irradiance_cache_tolerance": (0.5, 1.0)},
-            tuned=(),
+            tuned=(), scored="B", own_from=math.inf,
+        ),
+        Grid(
+            "corner-light", 1.0, {},
+            {"samples_per_pixel": (2, 4, 9), "shadow_rays": (1, 4), "gather_distance_m": (0.015, 0.045),
+             "global_photons": (5_000, 20_000, 60_000), "final_gather_rays": (36, 100, 256),
+             "irradiance_cache_tolerance": (0.4, 0.8, 1.6)},
+            tuned=(), scored="B", own_from=0,
         ),
     )
 }  # fmt: skip
@@ -143,7 +168,7 @@ def read_reference(grid: Grid) -> dict[str, Any]:
 
 
 def is_complete(grid: Grid, name: str) -> bool:
-    """Whether the study of a set of seeds was finished: its last render is as often there as the first of its kind."""
+    """Whether the study of a set of seeds was finished: its last seed is there as often as the one before it."""
     seeds = [render.seed for render in read_renders(grid)]
-    first, last = (seeds.count(seed) for seed in (TRUTH_SEEDS[name][0], TRUTH_SEEDS[name][-1]))
-    return 0 < first == last
+    before, last = (seeds.count(seed) for seed in TRUTH_SEEDS[name][-2:])
+    return SEEDS[name][-1] in seeds and 0 < before == last

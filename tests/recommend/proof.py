@@ -12,7 +12,7 @@ from .scoring import Campaign, Known, campaign
 from .strategies import Question
 
 QUESTIONS = 300
-PER_CAMPAIGN = 5
+PER_CAMPAIGN = 10
 """Questions to one campaign, which share its session's drift and the luck of its noise."""
 LIMITS_SPAN = (0.5, 2.0)
 """Where limits are random: this share to this multiple of the acceptable difference."""

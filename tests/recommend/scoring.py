@@ -1,15 +1,17 @@
 """Simulated campaigns over a grid that was really rendered: what a meter would show, and what is true.
 
-A campaign measures configurations REPEATS times each, with REPEATS seeds drawn from a set of five. A meter's noise is
-drawn anew for every measurement, its drift once for a session: a block of the sweep, in which every configuration is
-measured once, or, worse, all blocks. What is true of a configuration is the median of its CPU seconds and the mean of
-its difference over seeds that no campaign sees; what is nowhere near the front has none of those, and its mean over
-the set decides nothing.
+A campaign measures configurations REPEATS times each, with REPEATS seeds drawn from a set of five: for each
+configuration by itself, or the same ones for all. A meter's noise is drawn anew for every measurement, its drift once
+for a session: a block of the sweep, in which every configuration is measured once, or, worse, all blocks.
+
+What is true of a cost is the sum of what its stages take; see `_stage_costs`. What is true of a difference is its mean
+over seeds that no campaign sees; what is nowhere near the front has none of those, and its mean over the set decides
+nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -20,10 +22,21 @@ from joulebox_server.analysis.intervals import Interval
 from joulebox_server.analysis.points import Observation, Subject
 from joulebox_server.analysis.tradeoff import build_tradeoff
 
-from .grids import COST_SEEDS, REPEATS, SEEDS, SIDE, TRUTH_SEEDS, Grid, Render, read_renders
+from .grids import COST_SEEDS, REPEATS, SEEDS, SIDE, STAGES, TRUTH_SEEDS, Grid, Render, read_renders
 
 NOISE_SHARE = 0.05
 DRIFT_SHARE = 0.03
+CLOCK_SHARE = 0.02
+"""Noise of how a measurement's energy is told apart by stages: their times are known better than joules."""
+READS = {
+    "photon_map": ("global_photons", "caustic_photons"),
+    "precomputed_irradiance": ("global_photons", "gather_distance_m"),
+    "direct": ("samples_per_pixel", "shadow_rays"),
+    "indirect": ("samples_per_pixel", "gather_distance_m", "caustic_photons", "global_photons", "final_gather_rays",
+                 "irradiance_cache_tolerance"),
+    "caustics": ("samples_per_pixel", "caustic_photons"),
+}  # fmt: skip
+"""The settings that a stage's work depends on."""
 POLISHES = 10
 """Turns of alternating medians; they settle within a few."""
 FAR_OFF = 1e6
@@ -36,6 +49,8 @@ class Known:
 
     repeats         (n, 5) difference with each seed of the set; NaN where a configuration is known to be far off
     cost            (n,) true cost of an image, in CPU seconds standing for joules
+    stages          (n,) true cost of each stage, 0 where it does not run; their sum is the cost
+    own_seeds       whether each configuration has seeds of its own, or all have the same
     difference      (n,) true difference
     """
 
@@ -44,6 +59,8 @@ class Known:
     cost: np.ndarray
     difference: np.ndarray
     pixels: list[str]
+    stages: dict[str, np.ndarray]
+    own_seeds: bool
 
     @cached_property
     def ids(self) -> list[str]:
@@ -61,32 +78,70 @@ class Known:
 
 
 def known(grid: Grid, seeds: str) -> Known:
-    """A grid as the renders with seeds A or B show it."""
-    renders = read_renders(grid)
-    by_place: dict[tuple[Any, ...], dict[int, Render]] = {}
-    for render in renders:
-        by_place.setdefault(tuple(render.settings.values()), {})[render.seed] = render
-    found = [by_place[tuple(settings.values())] for settings in grid.configurations]
+    """A grid as the renders with a set of seeds show it."""
+    found = _by_place(grid)
     repeats = [_of_set(each, SEEDS[seeds]) for each in found]
     hidden = [[each[s].difference for s in TRUTH_SEEDS[seeds] if s in each] for each in found]
     true = [np.mean(unseen) if unseen else np.nanmean(seen) for unseen, seen in zip(hidden, repeats, strict=True)]
     pixels = [min(each.items())[1].pixels for each in found]
-    return Known(grid, np.array(repeats), _costs(found), np.array(true), pixels)
+    stages = _stage_costs(grid)
+    cost = np.sum(list(stages.values()), axis=0)
+    return Known(grid, np.array(repeats), cost, np.array(true), pixels, stages, grid.has_own_seeds(seeds))
 
 
-def _costs(found: Sequence[Mapping[int, Render]]) -> np.ndarray:
-    """Median CPU seconds of each configuration, what a seed's renders took longer for all of them taken off.
+def _by_place(grid: Grid) -> list[dict[int, Render]]:
+    """The renders of each configuration by seed."""
+    found: dict[tuple[Any, ...], dict[int, Render]] = {}
+    for render in read_renders(grid):
+        found.setdefault(tuple(render.settings.values()), {})[render.seed] = render
+    return [found[tuple(settings.values())] for settings in grid.configurations]
 
-    All renders with one seed follow each other, so that this is how slow the machine was at that time.
+
+def _stage_costs(grid: Grid) -> dict[str, np.ndarray]:
+    """CPU seconds of each configuration's stages: the median over all renders that do the same work.
+
+    A render's CPU seconds scatter by 10 % for the machine's own reasons, so that a median of ten renders is off by 4 %;
+    but a stage does the same work in all configurations that agree in the settings which it reads. That they do is
+    tested.
     """
-    logs = np.log([[each[s].cpu_s if s in each else np.nan for s in COST_SEEDS] for each in found])
-    logs = logs[:, np.isfinite(logs).any(axis=0)]
-    shifts = np.zeros(logs.shape[1])
+    stages = {stage: np.zeros(len(grid.configurations)) for stage in STAGES}
+    for stage, cost in stages.items():
+        logs = own_stage_logs(grid, stage)
+        for places in same_work(grid, stage):
+            if np.isfinite(logs[places]).any():
+                cost[places] = np.exp(np.nanmedian(logs[places]))
+    return {stage: cost for stage, cost in stages.items() if cost.any()}
+
+
+def own_stage_logs(grid: Grid, stage: str) -> np.ndarray:
+    """(n, seeds) logs of what a stage took in each render whose seed counts for costs; NaN where it did not run.
+
+    What a seed's renders took longer for all is taken off: they follow each other, so that this is how slow the
+    machine was at that time.
+    """
+    found = _by_place(grid)
+    whole = np.log([[each[s].cpu_s if s in each else np.nan for s in COST_SEEDS] for each in found])
+    took = [[each[s].stages_s.get(stage, np.nan) if s in each else np.nan for s in COST_SEEDS] for each in found]
+    return np.asarray(np.log(took) - _slowness(whole))
+
+
+def same_work(grid: Grid, stage: str) -> list[list[int]]:
+    """Places of the configurations that agree in all settings which a stage reads."""
+    groups: dict[tuple[Any, ...], list[int]] = {}
+    for place, settings in enumerate(grid.configurations):
+        groups.setdefault(tuple(settings.get(name) for name in READS[stage]), []).append(place)
+    return list(groups.values())
+
+
+def _slowness(logs: np.ndarray) -> np.ndarray:
+    """(seeds,) by how much, in logs, the renders with each seed took longer than others; NaN where there are none."""
+    shifts = np.where(np.isfinite(logs).any(axis=0), 0.0, np.nan)
+    there = np.isfinite(shifts)
     for _ in range(POLISHES):
-        own = np.nanmedian(logs - shifts, axis=1)
-        shifts = np.nanmedian(logs - own[:, None], axis=0)
-        shifts -= np.median(shifts)
-    return np.asarray(np.exp(np.nanmedian(logs - shifts, axis=1)))
+        own = np.nanmedian(logs[:, there] - shifts[there], axis=1)
+        shifts[there] = np.nanmedian(logs[:, there] - own[:, None], axis=0)
+        shifts[there] -= np.median(shifts[there])
+    return shifts
 
 
 def _of_set(renders: dict[int, Render], seeds: Sequence[int]) -> list[float]:
@@ -102,13 +157,15 @@ def _of_set(renders: dict[int, Render], seeds: Sequence[int]) -> list[float]:
 class Campaign:
     """What was measured: energies and differences of some configurations, (k, 3); `places` says which.
 
-    seeds   (3,) places of the repeats' seeds in their set
+    stages  energy of each stage, (k, 3); their sum is the whole energy
+    seeds   (n, 3) places in their set of the seeds that each configuration of the grid is or would be rendered with
     number  what the noise of later measurements is drawn by
     """
 
     known: Known
     places: np.ndarray
     energy: np.ndarray
+    stages: dict[str, np.ndarray]
     difference: np.ndarray
     seeds: np.ndarray
     number: int
@@ -121,6 +178,7 @@ class Campaign:
             self.known,
             np.concatenate([self.places, later.places]),
             np.concatenate([self.energy, later.energy]),
+            {name: np.concatenate([cost, later.stages[name]]) for name, cost in self.stages.items()},
             np.concatenate([self.difference, later.difference]),
             self.seeds,
             self.number,
@@ -150,6 +208,11 @@ class Campaign:
         ]
         return build_tradeoff(subject, observations)
 
+    def _seed(self, place: int, repeat: int) -> int:
+        """A number that stands for the seed: no two configurations have one in common unless they share all."""
+        seed = int(self.seeds[place, repeat])
+        return seed * len(self.known.cost) + int(place) if self.known.own_seeds else seed
+
     def _observation(self, row: int, place: int, repeat: int) -> Observation:
         cost = float(self.energy[row, repeat])
         exact = Interval(value=cost, low=cost, high=cost)
@@ -157,7 +220,7 @@ class Campaign:
             configuration_id=self.known.ids[place],
             settings={**self.known.grid.configurations[place], "seed": repeat},
             repeat=repeat,
-            seed=repeat,
+            seed=self._seed(place, repeat),
             time_s=exact,
             cpu_s=exact,
             energy_j=exact,
@@ -165,7 +228,11 @@ class Campaign:
             windows=1,
             difference=float(self.difference[row, repeat]),
             pixel_sha256=self.known.pixels[place],
-            stages={"image": StageCost(time_s=cost, energy_j=cost)},
+            stages={
+                name: StageCost(time_s=float(taken[row, repeat]), energy_j=float(taken[row, repeat]))
+                for name, taken in self.stages.items()
+                if taken[row, repeat] > 0
+            },
         )
 
 
@@ -174,18 +241,43 @@ def campaign(
 ) -> Campaign:
     """Measure all configurations, or those at `places`: each repeat is a session, or all are one."""
     chosen = np.arange(len(known.cost)) if places is None else np.asarray(places)
-    seeds = rng.choice(known.repeats.shape[1], REPEATS, replace=False)
+    seeds = _own_seeds(known, rng) if known.own_seeds else _shared_seeds(known, rng)
     return _measured(known, chosen, seeds, rng, sessions=1 if one_session else REPEATS)
+
+
+def _own_seeds(known: Known, rng: np.random.Generator) -> np.ndarray:
+    """Drawn for each configuration from the seeds that it was rendered with, as far as there are enough."""
+    order = rng.random(known.repeats.shape)
+    order[~np.isfinite(known.repeats)] = np.inf
+    return np.argsort(order, axis=1)[:, :REPEATS]
+
+
+def _shared_seeds(known: Known, rng: np.random.Generator) -> np.ndarray:
+    return np.tile(rng.choice(known.repeats.shape[1], REPEATS, replace=False), (len(known.cost), 1))
 
 
 def _measured(known: Known, places: np.ndarray, seeds: np.ndarray, rng: np.random.Generator, sessions: int) -> Campaign:
     noise = 1 + NOISE_SHARE * rng.standard_normal((len(places), REPEATS))
     drift = 1 + DRIFT_SHARE * rng.standard_normal(sessions)
+    energy = known.cost[places, None] * drift * noise
     return Campaign(
         known,
         places,
-        known.cost[places, None] * drift * noise,
-        known.repeats[np.ix_(places, seeds)],
+        energy,
+        _told_apart(known, places, energy, rng),
+        np.take_along_axis(known.repeats[places], seeds[places], axis=1),
         seeds,
         int(rng.integers(2**32)),
     )
+
+
+def _told_apart(
+    known: Known, places: np.ndarray, energy: np.ndarray, rng: np.random.Generator
+) -> dict[str, np.ndarray]:
+    """An energy's stages: each with a clock's noise of its own, then brought to the sum."""
+    shown = {
+        name: cost[places, None] * (1 + CLOCK_SHARE * rng.standard_normal(energy.shape))
+        for name, cost in known.stages.items()
+    }
+    total = np.sum(list(shown.values()), axis=0)
+    return {name: each / total * energy for name, each in shown.items()}

@@ -154,7 +154,7 @@ class Kept:
                 known = self._renders.setdefault(tuple(settings.values()), {})
                 if seed in known:
                     continue
-                image = painter.paint(settings | dict(self._grid.fixed), seed)
+                image = painter.paint(settings | dict(self._grid.fixed), self._grid.seed_of(settings, seed))
                 difference = compare(picture, image.pixels, Display(exposure=self._grid.exposure)).value
                 writer.writerow({**settings, "seed": seed, **row_of(image, difference)})
                 file.flush()

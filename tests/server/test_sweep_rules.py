@@ -159,3 +159,49 @@ def test_the_sweep_in_the_docs() -> None:
     assert len(measured) == 64
     assert sum(job.metered and job.purpose == "measure" for job in jobs) == 4 * 2
     assert sum(job.purpose == "control" for job in jobs) == 2 * 3 * 2
+
+
+def planned_seeds(definition: SweepDefinition) -> dict[str, list[int]]:
+    jobs = plan_jobs(definition, configurations(definition), reference_configuration(definition), "order")
+    return {purpose: [job.seed for job in jobs if job.purpose == purpose] for purpose in {job.purpose for job in jobs}}
+
+
+def test_own_seeds_are_no_one_elses() -> None:
+    """Of 2 x 3 configurations, 4 repeats: 24 seeds, the same each time; what is judged by keeps the sweep's."""
+    axes = {"gather_count": [50, 100, 150], "global_photons": [1000, 2000]}
+    own = planned_seeds(definition(axes=axes, repeats=4, controls=1, seeds="own"))
+    shared = planned_seeds(definition(axes=axes, repeats=4, controls=1))
+    assert len(set(own["measure"])) == 24
+    assert all(0 <= seed <= 2**53 for seed in own["measure"])
+    assert sorted(shared["measure"]) == sorted(6 * [0, 1, 2, 3])
+    assert all(own[purpose] == shared[purpose] for purpose in ("reference", "noise_floor", "control"))
+    assert own == planned_seeds(definition(axes=axes, repeats=4, controls=1, seeds="own"))
+    other = planned_seeds(definition(axes=axes, repeats=4, seeds="own", settings={"seed": 1}))
+    assert not set(own["measure"]) & set(other["measure"])
+
+
+def test_a_configuration_has_the_same_own_seeds_in_any_sweep() -> None:
+    """So that its picture can be found again; what else the sweep varies changes nothing."""
+    one = planned_seeds(definition(axes={"gather_count": [50]}, repeats=2, seeds="own"))
+    more = planned_seeds(definition(axes={"gather_count": [50, 100]}, repeats=2, seeds="own"))
+    assert set(one["measure"]) < set(more["measure"])
+
+
+@pytest.mark.parametrize(
+    ("changes", "own"),
+    [
+        ({"rule": "grid", "axes": {"gather_count": [1, 2]}}, False),
+        ({"rule": "one_at_a_time", "axes": {"gather_count": [1, 2]}}, False),
+        ({"rule": "random", "samples": 5, "axes": RANGES}, True),
+        ({"rule": "sobol", "samples": 5, "axes": RANGES}, True),
+        ({"rule": "sobol", "samples": 5, "axes": RANGES, "seeds": "shared"}, False),
+        ({"rule": "sobol", "samples": 5, "axes": RANGES, "reference": {"seed_policy": "same"}}, False),
+    ],
+)
+def test_what_is_drawn_has_own_seeds_unless_told_otherwise(changes: dict[str, Any], own: bool) -> None:
+    assert definition(**changes).own_seeds is own
+
+
+def test_own_seeds_cannot_be_compared_with_references_of_the_same_seed() -> None:
+    with pytest.raises(ValidationError, match=r'seeds = "own" needs reference\.seed_policy = "other"'):
+        definition(seeds="own", reference={"seed_policy": "same"})

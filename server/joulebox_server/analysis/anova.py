@@ -66,14 +66,24 @@ class Prediction:
 class Anova:
     """A fitted regression. Rows of `codes` are configurations, columns the places of their values on the axes."""
 
-    def __init__(self, factors: list[Factor], codes: NDArray[np.intp], target: Array, noise_variance: Array) -> None:
-        """Fit to `target` (n,), each known with `noise_variance` (n,); more noise is added if the data asks for it."""
+    def __init__(
+        self,
+        factors: list[Factor],
+        codes: NDArray[np.intp],
+        target: Array,
+        noise_variance: Array,
+        strengths: Strengths | None = None,
+    ) -> None:
+        """Fit to `target` (n,), each known with `noise_variance` (n,); more noise is added if the data asks for it.
+
+        strengths   where they were chosen before
+        """
         self._factors, self._codes = factors, codes
         self._mean = float(target.mean())
         self._scale = max(float(target.std()), 1e-6)
         self._target = (target - self._mean) / self._scale
         self._noise = noise_variance / self._scale**2
-        self.strengths = self._fitted()
+        self.strengths = strengths or self._fitted()
         covariance = self._covariance(codes, codes, self.strengths)
         self._factor = cho_factor(covariance + np.diag(self._noise + self.strengths.noise**2 + _JITTER), lower=True)
         self._weights = cho_solve(self._factor, self._target)
@@ -94,10 +104,11 @@ class Anova:
         deviation = self._scale * np.sqrt(np.maximum(variance, _JITTER))
         return Prediction(self._mean + self._scale * (signal @ self._weights), deviation)
 
-    def left_out_residuals(self) -> Array:
-        """(n,) what each measurement misses its prediction from all others by, in standard deviations."""
+    def left_out(self) -> Prediction:
+        """At what was measured, as all others predict it (Rasmussen & Williams 2006, eq. 5.12)."""
         inverse = np.diag(cho_solve(self._factor, np.eye(len(self._target))))
-        return np.asarray(self._weights / np.sqrt(inverse))
+        mean = self._mean + self._scale * (self._target - self._weights / inverse)
+        return Prediction(mean, self._scale * np.sqrt(np.maximum(1 / inverse - self._noise, _JITTER)))
 
     def _fitted(self) -> Strengths:
         count = len(self._factors)

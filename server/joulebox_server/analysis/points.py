@@ -125,10 +125,20 @@ def by_configuration(observations: Sequence[Observation]) -> list[list[Observati
 
 
 def by_repeat(found: Iterable[tuple[Observation, T]]) -> dict[int, T]:
-    """Values by their repeat's number. A second result of one repeat (the first came late) counts as one more."""
+    """Values by their repeat's number, for what a session shifts for all points."""
+    return _by_number((observation.repeat, value) for observation, value in found)
+
+
+def by_seed(found: Iterable[tuple[Observation, T]]) -> dict[int, T]:
+    """Values by their seed, for what its luck shifts for all points that share it."""
+    return _by_number((observation.seed, value) for observation, value in found)
+
+
+def _by_number(found: Iterable[tuple[int, T]]) -> dict[int, T]:
+    """A second result of one number (the first came late) counts as one more."""
     values: dict[int, T] = {}
-    for observation, value in found:
-        values[observation.repeat if observation.repeat not in values else -1 - len(values)] = value
+    for number, value in found:
+        values[number if number not in values else -1 - len(values)] = value
     return values
 
 
@@ -177,8 +187,8 @@ def reference_point(reference: Sequence[Observation], common: Common) -> Point:
 
 
 def _differences(group: Sequence[Observation]) -> dict[int, float]:
-    """By repeat, of those whose picture was compared."""
-    return by_repeat((o, o.difference) for o in group if o.difference is not None)
+    """By seed, of those whose picture was compared."""
+    return by_seed((o, o.difference) for o in group if o.difference is not None)
 
 
 def _metered(group: Sequence[Observation]) -> tuple[Quality, Sequence[Observation]]:

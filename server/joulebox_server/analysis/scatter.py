@@ -13,6 +13,7 @@ rendered by one method. Two things are learnt from them, both as shares of a val
 """
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -87,32 +88,51 @@ def factor(confidence: float, freedom: float) -> float:
 def common_scatter(points: Sequence[Mapping[int, float]], experience: Experience) -> Scatter | None:
     """What the repeats of several points have in common; None where too few points were repeated.
 
-    points   the values of each point by repeat; only those with two repeats or more, all above 0, tell something
+    points   the values of each point by repeat (or by seed); only those with two or more, all above 0, tell something.
+             A repeat that too few points have is their own affair: it tells of own scatter alone
     """
     known = [values for values in points if len(values) > 1 and min(values.values()) > 0]
-    repeats = sorted({repeat for values in known for repeat in values})
     if len(known) < MIN_POINTS:
         return None
-    logs = np.array([[math.log(values[r]) if r in values else math.nan for r in repeats] for values in known])
-    shifts, residuals = _two_way(logs)
+    times = Counter(repeat for values in known for repeat in values)
+    common = sorted(repeat for repeat, count in times.items() if count >= MIN_POINTS)
+    logs = _by_column(known, common)
+    shifts, residuals = _two_way(logs, len(common))
     counts = np.isfinite(logs).sum(axis=1)
     variances = np.nansum(residuals**2, axis=1) / (counts - 1)
     own, freedom = _moderated(variances, counts - 1.0)
-    seen_freedom = len(repeats) - 1
-    seen = float(np.sum(shifts**2)) / seen_freedom
+    if not common:
+        return Scatter(own, freedom, 0.0, math.inf, {})
+    seen_freedom = len(common) - 1
     shared_freedom = experience.freedom + seen_freedom
-    shared = (experience.freedom * experience.share**2 + seen_freedom * seen) / shared_freedom
-    return Scatter(own, freedom, shared, shared_freedom, dict(zip(repeats, shifts.tolist(), strict=True)))
+    shared = (experience.freedom * experience.share**2 + float(np.sum(shifts**2))) / shared_freedom
+    return Scatter(own, freedom, shared, shared_freedom, dict(zip(common, shifts.tolist(), strict=True)))
 
 
-def _two_way(logs: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Shift of each repeat (their mean is 0), and what is left of (points, repeats) when it and means are taken off."""
+def _by_column(points: Sequence[Mapping[int, float]], common: Sequence[int]) -> NDArray[np.float64]:
+    """(points, columns) of logs, NaN for none: one column for each common repeat, then each point's others in a row."""
+    others = [[math.log(value) for repeat, value in values.items() if repeat not in set(common)] for values in points]
+    most = max(len(each) for each in others)
+    return np.array(
+        [
+            [math.log(values[r]) if r in values else math.nan for r in common] + each + [math.nan] * (most - len(each))
+            for values, each in zip(points, others, strict=True)
+        ]
+    )
+
+
+def _two_way(logs: NDArray[np.float64], common: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Shift of each common repeat (their mean is 0), and what is left when they and each point's mean are taken off.
+
+    common   columns, the first ones, that have a shift
+    """
     shifts = np.zeros(logs.shape[1])
     for _ in range(SWEEPS):
         centred = logs - np.nanmean(logs - shifts, axis=1, keepdims=True)
-        shifts = np.nanmean(centred, axis=0)
-        shifts -= shifts.mean()
-    return shifts, centred - shifts
+        if common:
+            shifts[:common] = np.nanmean(centred[:, :common], axis=0)
+            shifts[:common] -= shifts[:common].mean()
+    return shifts[:common], centred - shifts
 
 
 def _moderated(variances: NDArray[np.float64], freedom: NDArray[np.float64]) -> tuple[float, float]:

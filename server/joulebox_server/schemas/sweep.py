@@ -127,6 +127,8 @@ class SweepDefinition(Document):
     sample_seed: int = Field(default=0, ge=0, le=LARGEST_SEED)
     configurations: list[dict[str, Scalar]] = Field(default_factory=list, max_length=100_000)
     repeats: int = Field(default=3, ge=1, le=1000)
+    seeds: Literal["shared", "own"] | None = None
+    """Whether configurations share the repeats' seeds; see `sweeps.seeds`. Unless given, what is drawn has its own."""
     controls: int = Field(default=0, ge=0, le=100)
     """Control runs of each scene in each block: the first configuration once more, spread over the block."""
     measure: MeasureRules = MeasureRules()
@@ -148,6 +150,11 @@ class SweepDefinition(Document):
             raise ValueError('samples and rule = "random" or "sobol" belong together; give both or neither')
         if self.rule in DRAWN and not self.axes:
             raise ValueError(f'rule = "{self.rule}" draws from axes; give at least one')
+        if self.seeds == "own" and self.reference.seed_policy == "same":
+            raise ValueError(
+                'seeds = "own" needs reference.seed_policy = "other": with "same" a repeat is compared with the '
+                "reference of its own seed, which all configurations share"
+            )
         self._check_axes()
         given = [self.settings, self.reference.settings, *self.configurations]
         seeds = [settings["seed"] for settings in given if "seed" in settings]
@@ -178,6 +185,13 @@ class SweepDefinition(Document):
     def requires_text(self) -> str | None:
         """What a device must be, as JSON text."""
         return None if self.requires is None else self.requires.model_dump_json()
+
+    @property
+    def own_seeds(self) -> bool:
+        """Whether every configuration has seeds of its own."""
+        return self.seeds == "own" or (
+            self.seeds is None and self.rule in DRAWN and self.reference.seed_policy == "other"
+        )
 
     @property
     def base_seed(self) -> int:

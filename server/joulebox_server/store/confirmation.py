@@ -9,15 +9,16 @@ from joulebox_server.errors import ConflictError, NotFoundError
 from joulebox_server.store import sweeps
 from joulebox_server.store.database import number, row, rows
 from joulebox_server.store.ids import new_id
-from joulebox_server.sweeps.expansion import added_configuration
+from joulebox_server.sweeps.expansion import added_configuration, repeat_seed
 
 
 def queue(db: Database, sweep_key: str, scene: str, device: str, choices: Sequence[Choice]) -> int:
     """Add runs to a sweep for one scene and device; returns how many jobs are new.
 
     A combination of the sweep's axes that was never run is measured as often as every configuration of the sweep,
-    with the same seeds; one that was measured is measured as often again, with new seeds. Nothing is added to what
-    waits already, nor, where every repeat is compared with a reference of its own seed, to what was measured.
+    with the sweep's seeds or its own, as the sweep has it; one that was measured is measured as often again, with new
+    seeds. Nothing is added to what waits already, nor, where every repeat is compared with a reference of its own seed,
+    to what was measured.
     Raises ConflictError when the sweep is cancelled.
     """
     sweep = sweeps.find(db, sweep_key)
@@ -29,9 +30,9 @@ def queue(db: Database, sweep_key: str, scene: str, device: str, choices: Sequen
     block = number(db, "SELECT max(block) FROM job WHERE sweep_id = ?", (sweep_id,)) + 1
     added = 0
     for position, choice in enumerate(choices):
+        configuration = added_configuration(definition, choice.settings)
         configuration_id = choice.configuration_id
         if configuration_id is None:
-            configuration = added_configuration(definition, choice.settings)
             configuration_id = sweeps.add_configuration(db, sweep_id, configuration, "measure", -1)
         first = _next_repeat(db, sweep_id, configuration_id, place)
         if first is None or (first > 0 and definition.reference.seed_policy == "same"):
@@ -39,7 +40,7 @@ def queue(db: Database, sweep_key: str, scene: str, device: str, choices: Sequen
         for repeat in range(first, first + definition.repeats):
             order = {"block": block + repeat - first, "position": position, "state": "queued"}
             identity = {"configuration_id": configuration_id, "purpose": "measure", "repeat": repeat}
-            seed = definition.base_seed + repeat
+            seed = repeat_seed(definition, configuration, repeat)
             db.table("job").insert({"id": new_id(), "sweep_id": sweep_id, **place, **identity, "seed": seed, **order})
             added += 1
     if added:

@@ -9,6 +9,7 @@ from typing import Any, Literal
 from joulebox_server.schemas.sweep import DRAWN, SweepDefinition
 from joulebox_server.store.ids import canonical
 from joulebox_server.sweeps.drawing import drawn
+from joulebox_server.sweeps.seeds import own_seed
 
 REFERENCE_SEED_STEP = 1000
 NOISE_FLOOR_SEED_STEP = 2000
@@ -119,11 +120,19 @@ def plan_jobs(
         for place, control in reversed(list(_controls(definition, repeat, len(block)))):
             mixed.insert(place, control)
         for position, (purpose, scene, configuration, number) in enumerate(mixed):
-            seed = _seed(measured[configuration]) + (repeat if purpose == "measure" else 0)
+            seed = _seed(measured[configuration])
+            if purpose == "measure":
+                seed = repeat_seed(definition, measured[configuration], repeat)
             joules = _any(definition) and purpose == "control"
             joules |= configuration in metered and (repeat == 0 or not _few(definition))
             jobs.append(PlannedJob(purpose, scene, configuration, number, seed, repeat, position, joules))
     return jobs
+
+
+def repeat_seed(definition: SweepDefinition, configuration: Configuration, repeat: int) -> int:
+    """The seed that a configuration's repeat is rendered with: counted on from its first, or its own."""
+    first = _seed(configuration)
+    return own_seed(first, configuration.settings, repeat) if definition.own_seeds else first + repeat
 
 
 def metered_configurations(definition: SweepDefinition, measured: list[Configuration]) -> set[int]:

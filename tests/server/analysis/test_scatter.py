@@ -90,3 +90,26 @@ def test_missing_repeats_are_no_obstacle():
 
 def test_a_bound_for_itself_is_nearer_than_one_of_two():
     assert one_sided(0.95) == pytest.approx(stats.norm.ppf(0.95) / stats.norm.ppf(0.975))
+
+
+def own_seeds(points):
+    """The same values, each under a number that no other point has."""
+    return [{1000 * k + repeat: value for repeat, value in point.items()} for k, point in enumerate(points)]
+
+
+def test_points_with_seeds_of_their_own_share_nothing():
+    """Whatever experience says of luck that is shared: there is none, and all scatter is each point's own."""
+    found = common_scatter(own_seeds(drawn(300, 3, 0.05)), Experience(0.2, 4.0))
+    assert (found.shared, found.shifts, found.shared_half_width(3, 0.95)) == (0.0, {}, 0.0)
+    assert found.own**0.5 == pytest.approx(0.05, abs=4 * 0.05 / np.sqrt(2 * 600))
+
+
+def test_seeds_that_few_points_have_leave_what_is_shared_as_it_is():
+    """Four points were confirmed with seeds of their own later: what the others share is still told."""
+    shifts = np.log([1.3, 1.0, 1 / 1.3])
+    points = [{r: v * np.exp(s) for (r, v), s in zip(p.items(), shifts, strict=True)} for p in drawn(100, 3, 0.01)]
+    more = [point | later for point, later in zip(points[:4], own_seeds(drawn(4, 3, 0.01)), strict=True)]
+    found = common_scatter(more + points[4:], UNKNOWING)
+    assert list(found.shifts) == [0, 1, 2]
+    assert list(found.shifts.values()) == pytest.approx(shifts, abs=0.02)
+    assert found.shared == pytest.approx(np.var(shifts, ddof=1), rel=0.1)
