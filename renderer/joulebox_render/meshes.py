@@ -96,7 +96,7 @@ def _check(mesh: MeshFile, kind: str, file: str) -> None:
 
 
 def place_mesh(source: MeshFile, to_world: F8, smooth: bool, flip: bool) -> Mesh | None:
-    """The mesh in world space; None when it is too large or too small for single precision.
+    """The mesh in world space; None when no area is left of it in single precision: too large, too small, a line.
 
     smooth   shade with the file's vertex normals, or with angle-weighted ones where it has none, as Mitsuba
              does; False: flat

@@ -134,7 +134,10 @@ class ShapeReader:
     def _placed(self, element: Element, source: MeshFile, to_world: F8, smooth: bool, flip: bool) -> Mesh:
         mesh = place_mesh(source, to_world, smooth, flip)
         if mesh is None:
-            raise element.error(f"the {element.type} is too large or too small for single precision; change its scale")
+            raise element.error(
+                f"no triangle of the {element.type} has an area that single precision can tell; its corners must not lie "
+                "on one line, nor its size be beyond 1e-19 to 1e19"
+            )
         return mesh
 
     def _rectangle(self, properties: Properties, to_world: F8, flip: bool) -> tuple[Mesh, F8]:

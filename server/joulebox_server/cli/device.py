@@ -148,7 +148,7 @@ def health(
     data: DataOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Set a device's health; in maintenance or retired it gets no jobs."""
+    """Set a device's health; suspect, in maintenance or retired it gets no jobs, and `good` clears it."""
     if value not in HEALTHS:
         raise WrongUseError(f"a device's health is one of {', '.join(HEALTHS)}, not {value!r}")
     found = connect(server, token, data).json("PATCH", f"/devices/{device}", json={"health": value})
