@@ -135,8 +135,8 @@ class ShapeReader:
         mesh = place_mesh(source, to_world, smooth, flip)
         if mesh is None:
             raise element.error(
-                f"no triangle of the {element.type} has an area that single precision can tell; its corners must not lie "
-                "on one line, nor its size be beyond 1e-19 to 1e19"
+                f"no triangle of the {element.type} has an area that single precision can tell; "
+                "its corners must not lie on one line, nor its size be beyond 1e-19 to 1e19"
             )
         return mesh
 

@@ -2,10 +2,11 @@
 
 A candidate fits when the upper bound of its cost is within the budget and the upper bound of its difference
 within the limit. With a budget, the best picture that fits is chosen (smallest upper bound of the
-difference); without one, the cheapest (smallest upper bound of the cost). Measured points come first:
-predictions answer where no measured point fits or where they are asked for, and are marked.
+difference); without one, the cheapest (smallest upper bound of the cost) that is surely acceptable. Measured
+points come first: predictions answer where no measured point fits or where they are asked for, and are marked.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -18,6 +19,7 @@ from joulebox_server.analysis.lines import steps_from
 from joulebox_server.analysis.proposals import worth_measuring
 from joulebox_server.analysis.ratings import why_fragile
 from joulebox_server.analysis.reasons import Case, none_reasons, reasons
+from joulebox_server.analysis.scatter import stretch
 from joulebox_server.analysis.terms import Terms
 from joulebox_server.analysis.words import figure
 
@@ -62,9 +64,9 @@ def recommend(
             f"no configuration of {tradeoff.scene} on {tradeoff.device} has been both measured "
             "and compared to the reference yet"
         )
-    fitting = _fitting(terms, [*measured, *predicted] if predict else measured)
+    fitting = _fitting(terms, [*measured, *predicted] if predict else measured, tradeoff.confidence)
     if not fitting and not predict:
-        fitting = _fitting(terms, predicted)
+        fitting = _fitting(terms, predicted, tradeoff.confidence)
     case = Case(tradeoff, terms.axis, terms.budget, terms.limit, told_budget, fitting, measured, predicted)
     chosen = fitting[0] if fitting else None
     promising = worth_measuring(terms, chosen, [*measured, *predicted], tradeoff.confidence, proposals)
@@ -99,8 +101,26 @@ def _terms(tradeoff: Tradeoff, budget: Budget, difference_limit: float | None) -
     return Terms(axis, amount, tradeoff.limit if difference_limit is None else difference_limit)
 
 
-def _fitting(terms: Terms, known: Sequence[Candidate]) -> list[Candidate]:
-    return sorted(filter(terms.fits, known), key=terms.rank)
+def _fitting(terms: Terms, known: Sequence[Candidate], confidence: float) -> list[Candidate]:
+    """What fits, best first; without a budget from the first on that is sure enough to be the cheapest.
+
+    The cheapest that is acceptable is found by going up from cheap ones, and each that may be acceptable has its own
+    chance of seeming so. The more of them were passed, the surer the next one has to be (Bonferroni's share of the
+    error for each); where none is, what fits by itself answers.
+    """
+    fitting = sorted(filter(terms.fits, known), key=terms.rank)
+    if terms.budget is not None:
+        return fitting
+    tries, best = 1, math.inf
+    for candidate in sorted(known, key=terms.rank):
+        found = candidate.difference
+        if found.high >= best:
+            continue  # something cheaper differs less
+        best = found.high
+        if found.value + stretch(confidence, tries) * (found.high - found.value) <= terms.limit:
+            return fitting[fitting.index(candidate) :]
+        tries += found.low <= terms.limit
+    return fitting
 
 
 def _question(tradeoff: Tradeoff, terms: Terms) -> dict[str, Any]:

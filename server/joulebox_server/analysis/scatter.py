@@ -79,6 +79,11 @@ def one_sided(confidence: float) -> float:
     return factor(2 * confidence - 1, math.inf) / factor(confidence, math.inf)
 
 
+def stretch(confidence: float, tries: int) -> float:
+    """What a one-sided bound is to be multiplied by to hold for all of so many tries, normal errors given."""
+    return factor(1 - 2 * (1 - confidence) / tries, math.inf) / factor(2 * confidence - 1, math.inf)
+
+
 @cache
 def factor(confidence: float, freedom: float) -> float:
     """Half-width of a two-sided interval in standard errors: Student's t, the normal one for infinite freedom."""
