@@ -94,7 +94,7 @@ export async function showRecommendation(box, given, loaded, choose) {
   const question = query({ scene: head.scene, device: head.device, ...asked, difference_limit: view.limit, predict: view.untried });
   const path = `/v1/sweeps/${encodeURIComponent(head.sweep_id)}/recommendation`;
   if (shown === null) fill(box, quiet("Looking for the settings that it buys …"));
-  box.setAttribute("aria-busy", String(path + question !== answered)); // an old answer stays in sight, but fades
+  box.setAttribute("aria-busy", String(path + question !== answered)); // an old answer stays in sight, but takes no clicks
   try {
     const answer = await getJson(path + question);
     const text = JSON.stringify([answer, rows.length]);
