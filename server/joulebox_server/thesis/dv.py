@@ -109,9 +109,14 @@ def advice(results: Results) -> list[str]:
             x, cheapest = min(points, key=lambda pair: pair[1].cost.value)
             reference = results.reference(f"dv-{BOXES}", BOXES)
             saved = 1 - cheapest.cost.value / reference.cost.value
+            paid = (
+                f"saves {saved:.0%} of the reference's cost"
+                if saved > 0
+                else f"costs {-saved:.0%} more than the reference"
+            )
             found.append(
                 f"Direct visualisation, {what}: the cheapest value within the acceptable difference is {x:,g}, which "
-                f"saves {saved:.0%} of the reference's cost (difference {told(compared(cheapest))})."
+                f"{paid} (difference {told(compared(cheapest))})."
             )
     return found
 
