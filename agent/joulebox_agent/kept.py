@@ -117,6 +117,6 @@ class KeptLoop(RendererLoop):
 def _waits(line: str) -> bool:
     try:
         told = json.loads(line)
-    except ValueError:
+    except (ValueError, RecursionError):
         return False
     return isinstance(told, dict) and told.get("event") == "waiting" and told.get("protocol") == 1

@@ -153,7 +153,7 @@ class RendererLoop:
             first = error.errors()[0]
             place = ".".join(str(part) for part in first["loc"]) or "event"
             raise RendererError(f"L{where[1:]} breaks the loop protocol: {place}: {first['msg']}.") from error
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise RendererError(f"L{where[1:]} is not JSON: {line.strip()[:80]!r}.") from error
         if isinstance(event, StageEvent | ImageEvent):
             self._check_times(event, arrived_s, where)

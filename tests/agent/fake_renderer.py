@@ -80,6 +80,8 @@ def misbehave(how, start_s):
         os._exit(1)
     if how == "garbage":
         print("Rendering is going well so far", flush=True)
+    if how == "nested":
+        print("[" * 100_000, flush=True)
     if how == "number":
         print("42", flush=True)
     if how == "hang":

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from joulebox_agent.estimates.energies import idle_power, window_energies
 from joulebox_agent.estimates.estimate import (
+    MOST_NEEDED,
     Interval,
     net_of_idle,
     t_quantile,
@@ -171,6 +172,7 @@ def test_windows_needed_for_two_percent(cv: float, needed: int) -> None:
     pilot = 100.0 * (1 + cv * pilot / pilot.std(ddof=1))
     assert windows_needed(list(pilot), 0.02) >= max(5, needed)
     assert windows_needed([5.0] * 5, 0.02) == 5
+    assert windows_needed(list(pilot), 1e-300) == windows_needed([5.0] * 5, 1e-300, drift_share=0.1) == MOST_NEEDED
 
 
 def test_two_stage_interval_covers_at_its_rate() -> None:

@@ -158,6 +158,7 @@ def test_a_picture_that_was_not_written_is_rendered_once_more(tmp_path: Path) ->
     [
         ("die", "died with code 1: Segmentation fault in the gather kernel."),
         ("garbage", "is not JSON: 'Rendering is going well so far'"),
+        ("nested", "is not JSON: '[[["),
         ("number", "breaks the loop protocol"),
         ("backwards", "perf_counter"),
         ("other_clock", "perf_counter"),

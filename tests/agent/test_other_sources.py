@@ -118,6 +118,8 @@ def test_a_command_tells_watts_or_joules() -> None:
         (b'{"power_w": NaN}', "which is no number"),
         (b'{"power_w": -1}', "power_w is -1; from 0 to 10000 is right"),
         (b'{"power_w": 1e9}', "from 0 to 10000 is right"),
+        (b'{"power_w": 1' + b"0" * 400 + b"}", "which is no number"),
+        (b'{"power_w": ' + b"9" * 5000 + b"}", "which is no number"),
         (b'{"energy_j": -1}', "energy_j is -1"),
     ],
 )

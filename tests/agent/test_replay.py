@@ -61,7 +61,10 @@ def test_ndjson_is_read_like_csv(tmp_path: Path) -> None:
         ("t_s,power_w\n0,1\n", "at least two rows"),
         ("t_s,power_w\n0,1\n0,2\n", "Row 2"),
         ("t_s,power_w\n0,1\n1,-2\n", "Row 2"),
-        ("t_s,power_w\n0,1\n1,nan\n", "finite"),
+        ("t_s,power_w\n0,1\n1,nan\n", "power_w from 0 to 10000"),
+        ("t_s,power_w\n0,1\n1,10001\n", "power_w from 0 to 10000"),
+        ("t_s,power_w\n-1e308,1\n1e308,2\n", "t_s must be within"),
+        ('t_s,power_w\n0,"' + "1" * 200_000 + '"\n', "not CSV"),
         ("time,watts\n0,1\n1,2\n", "Row 1"),
         ("t_s,power_w\n0,1\n1\n", "Row 2"),
     ],
@@ -71,8 +74,28 @@ def test_a_bad_trace_names_its_row(text: str, words: str) -> None:
         parse_trace(text, "bad.csv", as_json=False)
 
 
-@pytest.mark.parametrize("name", ["replay@soon", "replay@0", "replay@-1", "replay@nan", "replay:/no/such.csv", "solar",
-                                  "replay:/dev/zero", "replay:/dev/null", "replay:/"])  # fmt: skip
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("[1, 2]", "Row 1"),
+        ("[" * 100_000, "not NDJSON"),
+        ('{"t_s": 0, "power_w": ' + "9" * 5000 + "}", "power_w from 0 to 10000"),
+        ('{"t_s": 0, "power_w": 1e400}', "power_w from 0 to 10000"),
+    ],
+)
+def test_a_bad_line_names_itself(line: str, words: str) -> None:
+    with pytest.raises(UsageError, match=words):
+        parse_trace(line, "bad.ndjson", as_json=True)
+
+
+def test_a_table_saved_by_an_office_program_is_read(tmp_path: Path) -> None:
+    file = tmp_path / "trace.csv"
+    file.write_text("t_s,power_w\n0,3\n1,4\n", encoding="utf-8-sig")
+    assert read_trace(file).power_w == (3.0, 4.0)
+
+
+@pytest.mark.parametrize("name", ["replay@soon", "replay@0", "replay@-1", "replay@1e-320", "replay@nan", "replay:/",
+                                  "solar", "replay:/no/such.csv", "replay:/dev/zero", "replay:/dev/null"])  # fmt: skip
 def test_a_bad_source_is_wrong_use(name: str) -> None:
     with pytest.raises(UsageError):
         choose(name)

@@ -308,6 +308,15 @@ def test_a_killed_sweep_resumes_where_it_was(machine: Machine, tmp_path: Path) -
         Bench(machine, tmp_path, MIXES[:2], journal=Journal(file, plan)).session.run()
 
 
+@pytest.mark.parametrize("content", [b"a letter that ends without a line break", b"[1]", b"letter\n", b'{"begins": 1'])
+def test_a_file_of_somebody_else_is_left_alone(tmp_path: Path, machine: Machine, content: bytes) -> None:
+    file = tmp_path / "letter.txt"
+    file.write_bytes(content)
+    with pytest.raises(UsageError, match="no progress of ours"):
+        Bench(machine, tmp_path, MIXES[:1], journal=Journal(file, {})).session.run()
+    assert file.read_bytes() == content
+
+
 def test_windows_hold_fifteen_refreshes_of_a_slow_gauge(tmp_path: Path) -> None:
     machine = Machine(tmp_path / "sys", gauge_s=8.0, noise_w=0.4)
     rule = MeasureRule(min_windows=3, max_windows=3, max_seconds=3600)
@@ -355,6 +364,14 @@ def test_a_bad_configuration_file_is_one_sentence(tmp_path: Path, text: str, wor
     file = tmp_path / "c.json"
     file.write_text(text)
     with pytest.raises(UsageError, match=words):
+        read_configurations(file)
+
+
+@pytest.mark.parametrize("row", ["1979-05-27", "{a = 1979-05-27}"])
+def test_a_date_is_no_setting(tmp_path: Path, row: str) -> None:
+    file = tmp_path / "c.toml"
+    file.write_text(f"configurations = [{row}]")
+    with pytest.raises(UsageError, match=r"Configuration 1 .*date"):
         read_configurations(file)
 
 

@@ -29,7 +29,7 @@ def calibrate(
     source: plan.Source = "auto",
     sysfs_root: plan.SysfsRoot = SYSTEM_ROOT,
     window_s: Annotated[float, typer.Option(help="Shortest window in seconds.")] = 60.0,
-    windows: Annotated[int, typer.Option(min=3, help="Windows that are rendered.")] = 5,
+    windows: Annotated[int, typer.Option(min=3, max=1000, help="Windows that are rendered.")] = 5,
     idle_s: Annotated[float, typer.Option(min=0.1, help="Idle seconds before and after.")] = 60.0,
     silence_s: Annotated[float, typer.Option(help="Longest silence of the renderer.")] = 600.0,
     state_dir: plan.StateFolder = None,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 CONFIDENCE = 0.95
+MOST_NEEDED = 1_000_000_000  # windows; more than anybody will measure
 
 
 class Interval(BaseModel):
@@ -86,9 +87,10 @@ def windows_needed(
     if spread == 0.0 and not drift_share:
         return len(pilot)
     if wanted == 0.0:
-        return 1_000_000_000  # a mean of nothing is never known to a share of itself
-    needed = (t_quantile(len(pilot) - 1, confidence) * spread / wanted) ** 2
-    return max(len(pilot), math.ceil(max(needed, len(pilot) * (drift_share / half_width) ** 2)))
+        return MOST_NEEDED  # a mean of nothing is never known to a share of itself
+    by_spread = t_quantile(len(pilot) - 1, confidence) * spread / wanted
+    by_drift = math.sqrt(len(pilot)) * drift_share / half_width
+    return max(len(pilot), math.ceil(min(max(by_spread, by_drift), math.sqrt(MOST_NEEDED)) ** 2))
 
 
 def net_of_idle(

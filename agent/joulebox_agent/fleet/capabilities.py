@@ -50,7 +50,7 @@ def describe_renderer(command: Sequence[str]) -> dict[str, Any]:
     schema_text = ask_renderer(command, "schema")
     try:
         schema = json.loads(schema_text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise RendererError(f"{command[0]} schema did not print JSON: {error}.") from error
     if not isinstance(schema, dict):
         raise RendererError(f"{command[0]} schema printed {type(schema).__name__}, not a JSON object.")

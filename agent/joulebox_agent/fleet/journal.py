@@ -61,7 +61,7 @@ def doing_now(file: Path) -> dict[str, str] | None:
     """{since, event, message} as last written down; None when there is nothing that can be read."""
     try:
         found = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return None
     return {str(key): str(value) for key, value in found.items()} if isinstance(found, dict) else None
 

@@ -72,7 +72,7 @@ class StateDir:
         """Ids of those attempts; none when the file is missing or damaged, as they then expire by themselves."""
         try:
             attempts = json.loads(self.leases.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+        except (OSError, ValueError, RecursionError):
             return []
         return [str(attempt) for attempt in attempts] if isinstance(attempts, list) else []
 

@@ -49,7 +49,7 @@ def read_configurations(path: Path) -> list[Entry]:
 
 def _entry(row: Any, where: str) -> Entry:
     if not isinstance(row, dict):
-        raise UsageError(f"{where} is {json.dumps(row)[:40]}; write {EXAMPLE}.")
+        raise UsageError(f"{where} is {row!r:.40}; write {EXAMPLE}.")
     settings, label, timed_only = row, None, False
     if isinstance(row.get("settings"), dict):
         unknown = sorted(row.keys() - {"settings", "name", "timed_only"})
@@ -58,7 +58,7 @@ def _entry(row: Any, where: str) -> Entry:
         settings, label, timed_only = row["settings"], row.get("name"), row.get("timed_only", False)
     for key, value in settings.items():
         if not isinstance(value, str | int | float):
-            raise UsageError(f"{where}: {key} must be a number, a word or true or false, not {json.dumps(value)[:40]}.")
+            raise UsageError(f"{where}: {key} must be a number, a word or true or false, not {value!r:.40}.")
     if not isinstance(timed_only, bool) or not isinstance(label, str | None):
         raise UsageError(f"{where}: name must be a text and timed_only true or false.")
     words = " ".join(f"{key}={_text(value)}" for key, value in settings.items())

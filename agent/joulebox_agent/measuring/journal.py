@@ -20,6 +20,7 @@ from joulebox_agent.measuring.recording import Recording, VoidWindow
 from joulebox_agent.sampling.sampler import Sample
 
 BETWEEN_PROCESSES_S = 1000.0  # on our axis of time: far more than any gap that samples may be bridged over
+BEGINNING = b'{"begin": '
 _SAMPLES = TypeAdapter(list[Sample])
 _WINDOWS = TypeAdapter(list[Window])
 _VOIDED = TypeAdapter(list[VoidWindow])
@@ -129,6 +130,8 @@ class Journal:
                 raise UsageError(f"Line {number} of {self.path} is no progress of ours; use another file.") from error
         if any(life[0]["plan"] != self._plan for life in lives):
             raise UsageError(f"{self.path} is the progress of another measurement; give each a file of its own.")
+        if not lives and not (content.startswith(BEGINNING) or BEGINNING.startswith(content)):
+            raise UsageError(f"{self.path} is no progress of ours; use another file.")
         if len(whole) < len(content):
             os.truncate(self.path, len(whole))
         return lives

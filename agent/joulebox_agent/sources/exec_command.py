@@ -95,7 +95,7 @@ def decode_output(data: bytes, name: str) -> Told:
 
     text = data.decode(errors="replace").strip()
     try:
-        told = json.loads(text)
+        told = json.loads(text, parse_int=float)  # of any length
     except (ValueError, RecursionError):
         raise wrong(f"printed {text[:SHOWN]!a}, not JSON" if text else "printed nothing") from None
     if not isinstance(told, dict) or not {"power_w", "energy_j"} & set(told):

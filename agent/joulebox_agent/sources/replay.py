@@ -17,6 +17,8 @@ from joulebox_agent.sources.reading import Primary, Quality, Reading, SourceRepo
 
 BUNDLED_TRACE = "scripted_laptop_48wh.csv"
 SHORTEST_POLL_S, LONGEST_POLL_S = 0.05, 0.5
+SHORTEST_REFRESH_S, LONGEST_S = 0.001, 1e12  # a trace may well count its seconds from 1970
+HIGHEST_W = 10_000.0
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,7 @@ def read_trace(path: Path) -> Trace:
     try:
         if path.exists() and not path.is_file():  # a device may never end
             raise UsageError(f"The trace {path} is no file; give one with rows of t_s,power_w.")
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except (OSError, ValueError) as error:
         raise UsageError(f"The trace {path} cannot be read: {getattr(error, 'strerror', None) or error}.") from error
     return parse_trace(text, path.name, as_json=path.suffix in (".ndjson", ".jsonl"))
@@ -57,16 +59,17 @@ def parse_trace(text: str, name: str, as_json: bool) -> Trace:
     power_w: list[float] = []
     start_s = 0.0
     try:
-        rows = [json.loads(line) for line in lines] if as_json else list(csv.DictReader(lines))
-    except ValueError as error:
-        raise UsageError(f"The trace {name} is not NDJSON: {error}.") from error
+        rows = [json.loads(line, parse_int=float) for line in lines] if as_json else list(csv.DictReader(lines))
+    except (ValueError, RecursionError, csv.Error) as error:
+        raise UsageError(f"The trace {name} is not {'NDJSON' if as_json else 'CSV'}: {error}.") from error
     for number, row in enumerate(rows, start=1):
         try:
             t_s, p_w = float(row["t_s"]), float(row["power_w"])
         except (KeyError, TypeError, ValueError):
             raise UsageError(f"Row {number} of the trace {name} needs numbers t_s and power_w, not {row}.") from None
-        if not (math.isfinite(t_s) and math.isfinite(p_w)) or p_w < 0:
-            raise UsageError(f"Row {number} of the trace {name}: t_s and power_w must be finite and power_w >= 0.")
+        if not (abs(t_s) <= LONGEST_S and 0 <= p_w <= HIGHEST_W):
+            right = f"t_s must be within {LONGEST_S:g} s and power_w from 0 to {HIGHEST_W:g}"
+            raise UsageError(f"Row {number} of the trace {name}: {right}.")
         if times_s and t_s - start_s <= times_s[-1]:
             raise UsageError(f"Row {number} of the trace {name}: t_s must grow from row to row.")
         start_s = start_s if times_s else t_s
@@ -90,8 +93,8 @@ class Replay:
     primary: Primary = "power"
 
     def __init__(self, trace: Trace, refresh_s: float | None = None, clock: Clock | None = None) -> None:
-        if refresh_s is not None and not (math.isfinite(refresh_s) and refresh_s > 0):
-            raise UsageError(f"The refresh of a replay must be a positive number of seconds, not {refresh_s}.")
+        if refresh_s is not None and not SHORTEST_REFRESH_S <= refresh_s <= LONGEST_S:
+            raise UsageError(f"The refresh of a replay must be {SHORTEST_REFRESH_S:g} s or more, not {refresh_s:g}.")
         self.trace = trace
         self.refresh_s = refresh_s
         self._clock = clock or SystemClock()
