@@ -58,7 +58,7 @@ def words_of(unit: str) -> list[str]:
 
 
 def test_one_command_installs_and_one_removes(agent: Agent, state: StateDir, systemctl: Path) -> None:
-    code, out, err = install(agent, state, "--source", "replay@0.1", "--charge-hook", "plug $1")
+    code, out, err = install(agent, state, "--source", "replay@0.1", "--charge-hook", "echo $1")
     assert (code, err) == (0, "")
     file = systemctl / "config/systemd/user/joulebox-agent.service"
     assert str(file) in out
@@ -68,7 +68,7 @@ def test_one_command_installs_and_one_removes(agent: Agent, state: StateDir, sys
     told = dict(zip(words[4::2], words[5::2], strict=True))
     assert told["--source"] == "replay@0.1"
     assert told["--state-dir"] == str(state.root)
-    assert told["--charge-hook"] == "plug $1"
+    assert told["--charge-hook"] == "echo $1"
     assert shlex.split(told["--renderer"]) == shlex.split(RENDERER)
     assert "a-secret" not in unit
     enabled = "--user daemon-reload\n--user enable joulebox-agent.service\n--user restart joulebox-agent.service\n"

@@ -271,6 +271,12 @@ def test_charge_behaviour_is_used_where_the_kernel_has_it(machine: Machine, tmp_
     assert charging.step(20.0, said.append) is None
 
 
+@pytest.mark.parametrize("hook", ["", " ", "/no/such/plug on", '"unclosed'])
+def test_a_hook_is_checked_before_it_is_needed(tmp_path: Path, hook: str) -> None:
+    with pytest.raises(UsageError, match="The charge hook"):
+        Charging(Band(), tmp_path, "battery_gauge", hook)
+
+
 @pytest.mark.parametrize("text", ["30-90", "90", "a-b", "110-20", "90-90", "nan-3"])
 def test_a_charge_band_is_checked(text: str) -> None:
     with pytest.raises(UsageError, match="two percentages"):
@@ -315,6 +321,23 @@ def test_a_file_of_somebody_else_is_left_alone(tmp_path: Path, machine: Machine,
     with pytest.raises(UsageError, match="no progress of ours"):
         Bench(machine, tmp_path, MIXES[:1], journal=Journal(file, {})).session.run()
     assert file.read_bytes() == content
+
+
+@pytest.mark.parametrize("change", [
+    {"commit": {}}, {"commit": 5}, {"commit": {"samples": [{}], "companions": [], "idle": [], "records": []}},
+    {"commit": {"samples": [], "companions": [], "idle": [3], "records": []}},
+    {"commit": {"samples": [], "companions": [], "idle": [], "records": [{"windows": [{}]}]}},
+    {"commit": {"samples": [], "companions": [], "idle": [], "records": [3]}},
+    {"commit": {"samples": [], "companions": [], "idle": [], "records": [{"windows": [], "blocks": [], "voided": [],
+     "ready": 3, "last_image": None, "spent_s": 0}]}},
+    {"begin": {}, "start_s": 1e999}, {"begin": {}, "start_s": None},
+])  # fmt: skip
+def test_damaged_progress_is_one_sentence(tmp_path: Path, machine: Machine, change: dict[str, Any]) -> None:
+    file = tmp_path / "progress"
+    file.write_text("\n".join(json.dumps(line) for line in ({"begin": {}, "start_s": 5.0}, change)) + "\n")
+    with pytest.raises(UsageError, match=r"is damaged: .*; remove it|no progress of ours") as caught:
+        Bench(machine, tmp_path, MIXES[:1], journal=Journal(file, {})).session.run()
+    assert len(str(caught.value).splitlines()) == 1
 
 
 def test_windows_hold_fifteen_refreshes_of_a_slow_gauge(tmp_path: Path) -> None:

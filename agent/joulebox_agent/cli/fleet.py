@@ -28,7 +28,7 @@ from joulebox_agent.fleet.state import Enrolment, StateDir, boot_id, machine_loc
 from joulebox_agent.fleet.stopping import Stop
 from joulebox_agent.fleet.work import ShownListener
 from joulebox_agent.loop import renderer_command
-from joulebox_agent.measuring.charging import Band
+from joulebox_agent.measuring.charging import Band, hook_words
 from joulebox_agent.measuring.progress import shown_progress
 from joulebox_agent.sources.choose import choose
 from joulebox_agent.sources.sysfs import SYSTEM_ROOT
@@ -173,6 +173,8 @@ def install_service(
     _own(state)
     _check(source, SYSTEM_ROOT)
     Band.parse(charge_band)
+    if charge_hook is not None and not show:
+        hook_words(charge_hook)
     program = shlex.join(_found(renderer))
     command = [sys.executable, "-m", "joulebox_agent", "run", "--source", source, "--renderer", program,
                "--charge-band", charge_band, "--stop-grace-s", str(service.GRACE_S),

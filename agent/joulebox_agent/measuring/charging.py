@@ -2,6 +2,7 @@
 
 import math
 import shlex
+import shutil
 import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -47,6 +48,17 @@ class Band:
 MEASURING_BAND = Band()
 
 
+def hook_words(hook: str) -> list[str]:
+    """The words of a charge hook. Raises UsageError, before hours of measuring rather than at the first charge."""
+    try:
+        words = shlex.split(hook)
+    except ValueError as error:
+        raise UsageError(f"The charge hook {hook!r} is no command: {error}.") from error
+    if not words or shutil.which(words[0]) is None:
+        raise UsageError(f"The charge hook {hook!r} is not a program on this machine.")
+    return words
+
+
 @dataclass(frozen=True)
 class Forecast:
     """What a plan takes from the battery.
@@ -82,10 +94,7 @@ class Charging:
         waits: bool = True,
     ) -> None:
         self.band, self.waits, self._root, self._source = band, waits, sysfs_root, source
-        try:
-            self._hook = shlex.split(hook) if hook else None
-        except ValueError as error:
-            raise UsageError(f"The charge hook {hook!r} is no command: {error}.") from error
+        self._hook = None if hook is None else hook_words(hook)
         self._supplies = PowerSupplyClass(Sysfs(sysfs_root))
         # a plug that is on when we start was left so by a process that was killed while charging
         self._charging = self._hook is not None and self.plugged()

@@ -5,12 +5,13 @@ appended and synced as a whole; the last one may be torn, and is then as if it h
 """
 
 import json
+import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
 from joulebox_agent.errors import AgentError, UsageError
 from joulebox_agent.estimates.windows import Window
@@ -46,14 +47,15 @@ class Journal:
         """
         lives = self._read()
         until_s = meter.start_s - BETWEEN_PROCESSES_S
-        for life in reversed(lives):
-            until_s = _shift(life, until_s) - BETWEEN_PROCESSES_S
         try:
+            for life in reversed(lives):
+                until_s = _shift(life, until_s) - BETWEEN_PROCESSES_S
             for life in lives:
                 for commit in life[1:]:
                     _restore(commit, records, meter)
-        except (ValidationError, KeyError, TypeError, IndexError, ValueError) as error:
-            raise UsageError(f"{self.path} is damaged: {error}; remove it to begin anew.") from error
+        except (KeyError, TypeError, AttributeError, IndexError, ValueError) as error:
+            first = str(error).splitlines()[0]
+            raise UsageError(f"{self.path} is damaged: {first}; remove it to begin anew.") from error
         for record in records:
             record.start_s = min([record.start_s, *(life[0]["start_s"] for life in lives)])
         if any(record.windows for record in records):
@@ -123,6 +125,8 @@ class Journal:
             try:
                 line = json.loads(text)
                 if "begin" in line:
+                    if not math.isfinite(line["start_s"]):
+                        raise ValueError("no moment")
                     lives.append([{"plan": line["begin"], "start_s": float(line["start_s"])}])
                 else:
                     lives[-1].append(line["commit"])
