@@ -14,7 +14,7 @@ Conditions = dict[str, str | float | int | bool | list[str] | None]
 
 
 def read_conditions(sysfs_root: Path = SYSTEM_ROOT) -> Conditions:
-    """Mains, charge, wear, brightness, profile, governor, temperature, throttling, load; None where unknown."""
+    """Mains, charge, wear, brightness, profile, governor, temperature, throttling, network, load; None: unknown."""
     if not sysfs_root.is_dir():  # not Linux: psutil tells what it can, and nothing is invented
         return {**_by_psutil(), **_load()}
     sysfs = Sysfs(sysfs_root)
@@ -26,6 +26,7 @@ def read_conditions(sysfs_root: Path = SYSTEM_ROOT) -> Conditions:
         "energy_preference": _text(sysfs, cpu / "cpu0" / "cpufreq" / "energy_performance_preference"),
         "temperature_c": _hottest(sysfs),
         "throttle_count": _throttles(sysfs, cpu),
+        **_network(sysfs),
         **_battery(sysfs),
         **_load(),
     }
@@ -78,6 +79,19 @@ def _throttles(sysfs: Sysfs, cpu: Path) -> int | None:
     return sum(known) if known else None
 
 
+def _network(sysfs: Sysfs) -> Conditions:
+    """Devices that are connected, and what all of them carried since the start: two looks tell what a radio did."""
+    devices = [
+        device for device in _folders(sysfs, sysfs.root / "class" / "net") if os.path.lexists(device / "device")
+    ]  # bridges and the loopback have none, and would count twice
+    carried = [_number(sysfs, device / "statistics" / f"{way}_bytes") for device in devices for way in ("rx", "tx")]
+    known = [count for count in carried if count is not None]
+    return {
+        "network_up": [d.name for d in devices if _text(sysfs, d / "operstate") == "up"] if devices else None,
+        "network_bytes": sum(known) if known else None,
+    }
+
+
 def _battery(sysfs: Sysfs) -> Conditions:
     packs = PowerSupplyClass(sysfs)
     folders = packs.pack_folders()
@@ -112,15 +126,20 @@ def _battery(sysfs: Sysfs) -> Conditions:
 
 
 def _by_psutil() -> Conditions:
-    """Charge and plug where the system has no files for them."""
+    """Charge, plug and network where the system has no files for them."""
     tell = getattr(psutil, "sensors_battery", None)
     try:
         battery = tell() if tell else None
     except (OSError, RuntimeError, ValueError, NotImplementedError):
         battery = None
+    try:
+        carried = psutil.net_io_counters()
+    except (OSError, RuntimeError, ValueError):
+        carried = None
     return {
         "mains_online": None if battery is None else battery.power_plugged,
         "battery_charge_share": None if battery is None else battery.percent / 100,
+        "network_bytes": None if carried is None else carried.bytes_sent + carried.bytes_recv,
     }
 
 

@@ -66,6 +66,14 @@ def test_conditions_of_a_machine_in_full(agent: Agent, tree: Callable[[str], Pat
         "devices/system/cpu/cpu0/thermal_throttle/core_throttle_count": "3",
         "class/thermal/thermal_zone0/temp": "48000",
         "class/thermal/thermal_zone1/temp": "61500",
+        "class/net/wlan0/operstate": "up",
+        "class/net/wlan0/device/vendor": "0x8086",
+        "class/net/wlan0/statistics/rx_bytes": "123456",
+        "class/net/wlan0/statistics/tx_bytes": "1000",
+        "class/net/enp0s31f6/operstate": "down",
+        "class/net/enp0s31f6/device/vendor": "0x8086",
+        "class/net/br0/operstate": "up",
+        "class/net/br0/statistics/rx_bytes": "123456",
     }
     for name, value in files.items():
         (root / name).parent.mkdir(parents=True, exist_ok=True)
@@ -75,15 +83,23 @@ def test_conditions_of_a_machine_in_full(agent: Agent, tree: Callable[[str], Pat
     assert conditions["power_profile"] == "balanced"
     assert (conditions["governor"], conditions["energy_preference"]) == ("powersave", "balance_power")
     assert (conditions["temperature_c"], conditions["throttle_count"]) == (61.5, 3)
+    assert (conditions["network_up"], conditions["network_bytes"]) == (["wlan0"], 124_456)
     words = agent("doctor", "--sysfs-root", root)[1]
-    for line in ("mains: unplugged", "charge: 86%", "hottest (C): 61.5", "governor: powersave", "brightness: 25%"):
+    for line in (
+        "network: wlan0",
+        "mains: unplugged",
+        "charge: 86%",
+        "hottest (C): 61.5",
+        "governor: powersave",
+        "brightness: 25%",
+    ):
         assert line in words
 
 
 def test_conditions_that_nobody_tells_are_null(agent: Agent) -> None:
     document = json.loads(agent("doctor", "--json", "--sysfs-root", DATA / "no_battery_pi" / "sys")[1])
     conditions = document["conditions"]
-    for name in ("mains_online", "battery_charge_share", "temperature_c", "governor", "brightness_share"):
+    for name in ("mains_online", "battery_charge_share", "temperature_c", "governor", "brightness_share", "network_up"):
         assert conditions[name] is None
     assert conditions["cpu_busy_s"] > 0
     assert document["other_cpu_share"] >= 0

@@ -302,7 +302,7 @@ def test_numbers_at_the_border_carry_their_unit(tmp_path: Path) -> None:
     """Every numeric field of the document says its unit, or is in the list of what has none."""
     unitless = {"schema", "images", "windows", "confidence", "rays", "threads", "value", "low", "high", "equation_2",
                 "block", "battery_cycle_count", "throttle_count", "load_1_min"}  # fmt: skip
-    suffixes = ("_s", "_j", "_w", "_c", "_share", "_wh", "_m")
+    suffixes = ("_s", "_j", "_w", "_c", "_share", "_wh", "_m", "_bytes")
     record = measured(tmp_path)
     document = build_result(record, RULE, tmp_path / "last.exr").document.to_json()
     named = []

@@ -17,7 +17,8 @@ from joulebox_agent.sources.choose import KNOWN
 
 SHOWN_CONDITIONS = {"mains_online": "mains", "battery_charge_share": "charge", "temperature_c": "hottest (C)",
                     "governor": "governor", "energy_preference": "energy preference", "power_profile": "power profile",
-                    "brightness_share": "brightness", "load_1_min": "load (1 min)"}  # fmt: skip
+                    "brightness_share": "brightness", "network_up": "network",
+                    "load_1_min": "load (1 min)"}  # fmt: skip
 
 
 def doctor(
@@ -109,6 +110,8 @@ def _unit(value: float | None, unit: str) -> str:
 def _words(name: str, value: object) -> str:
     if isinstance(value, bool):
         return "plugged in" if value else "unplugged"
+    if isinstance(value, list):
+        return ", ".join(map(str, value)) or "not connected"
     if isinstance(value, float):
         return f"{value:.0%}" if name.endswith("_share") else f"{value:.3g}"
     return str(value)
