@@ -52,6 +52,16 @@ def test_samples_come_from_another_process_of_low_priority(sampler: SamplerProce
     assert 0 < sampler.cpu_share() < 0.05
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has classes of priority, not degrees")
+def test_a_low_priority_is_not_raised() -> None:
+    """Whoever runs the agent at a low priority of its own: the sampler stays below it."""
+    program = (
+        "import os; from joulebox_agent.sampling.sampler_child import lower_priority; "
+        "os.nice(15); lower_priority(); print(os.nice(0))"
+    )
+    assert subprocess.run([sys.executable, "-c", program], capture_output=True, check=True).stdout.strip() == b"19"
+
+
 def test_a_sampler_that_dies_is_started_again_once(sampler: SamplerProcess) -> None:
     first, alive_s = sampler.pid, sampler.samples()[-1].time_s
     assert first is not None

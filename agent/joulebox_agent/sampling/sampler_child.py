@@ -23,7 +23,7 @@ from joulebox_agent.sampling.sampler import Sample
 from joulebox_agent.sources.choose import choose
 from joulebox_agent.sources.reading import Reading
 
-NICENESS = 10  # low, yet woken in time on a machine whose every core renders
+NICENESS = 10  # below whoever started it: low, yet woken in time on a machine whose every core renders
 
 
 def encode(index: int, sample: Sample, cpu_s: float) -> str:
@@ -45,7 +45,8 @@ def decode(line: str) -> tuple[int, Sample, float]:
 def lower_priority() -> None:
     """Steps behind whatever is measured; a system that forbids it changes nothing else."""
     with contextlib.suppress(psutil.Error, OSError):
-        psutil.Process().nice(psutil.BELOW_NORMAL_PRIORITY_CLASS if sys.platform == "win32" else NICENESS)
+        own = psutil.Process()
+        own.nice(psutil.BELOW_NORMAL_PRIORITY_CLASS if sys.platform == "win32" else min(19, own.nice() + NICENESS))
 
 
 class _Asked:
