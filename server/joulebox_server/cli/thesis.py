@@ -92,6 +92,7 @@ def _run(study: "Study", chosen: "list[Batch]", token: str | None, scenes: Path 
             local = stack.enter_context(Local(study.folder, agents, study.source if study.metered else "none"))
             connection, check = local.connection, local.check
         if not study.quick and not quiet:
+            study.send_scenes(chosen, connection, folder)
             low_s, high_s = study.expected_s(chosen, connection)
             typer.echo(f"about {low_s / 3600:.1f} to {high_s / 3600:.1f} hours on one device", err=True)
         study.run(chosen, connection, folder, Follower(show, check))

@@ -109,19 +109,17 @@ class Study:
         version of the study.
         """
         submitted = {}
+        self.send_scenes(batches, connection, scenes)
         with connection.opened() as client:
-            for batch in batches:
-                for sweep in batch.sweeps(self.plan):
-                    definition = self.definition(sweep)
-                    key = sha256_text(canonical([self.id, definition["name"]]))
-                    sent = send_scenes(client, definition, scenes)
-                    answer = client.post("/v1/sweeps", json=sent, headers={"Idempotency-Key": key})
-                    if answer.status_code == 409:
-                        raise WrongUseError(
-                            f"the sweep {sweep['name']} in {self.folder} was made by another version of the study; "
-                            "start again in a new folder"
-                        )
-                    submitted[sweep["name"]] = checked(answer).json()
+            for sweep in self._sweeps(batches):
+                key = sha256_text(canonical([self.id, sweep["name"]]))
+                answer = client.post("/v1/sweeps", json=self.definition(sweep), headers={"Idempotency-Key": key})
+                if answer.status_code == 409:
+                    raise WrongUseError(
+                        f"the sweep {sweep['name']} in {self.folder} was made by another version of the study; "
+                        "start again in a new folder"
+                    )
+                submitted[sweep["name"]] = checked(answer).json()
         for found in submitted.values():
             if found["state"] == "failed":
                 connection.request("POST", f"/sweeps/{found['id']}:retry-failed")
@@ -138,14 +136,27 @@ class Study:
                 "--report-only writes the report of the rest"
             )
 
+    def send_scenes(self, batches: Sequence[Batch], connection: Connection, scenes: Path) -> None:
+        """Send the server every scene that the batches render, once; it keeps one that it has."""
+        entries = [entry for sweep in self._sweeps(batches) for entry in sweep["scenes"]]
+        names = dict.fromkeys(entry if isinstance(entry, str) else entry["name"] for entry in entries)
+        with connection.opened() as client:
+            send_scenes(client, {"scenes": list(names)}, scenes)
+
     def expected_s(self, batches: Sequence[Batch], connection: Connection) -> tuple[float, float]:
-        """How long the batches take one device, at least and at most [s], by the server's previews."""
+        """How long the batches take one device, at least and at most [s], by the server's previews.
+
+        The server must have their scenes.
+        """
         low_s = high_s = 0.0
-        for batch in batches:
-            for sweep in batch.sweeps(self.plan):
-                time_s = connection.json("POST", "/sweeps:preview", json=self.definition(sweep))["time_s"]
-                low_s, high_s = low_s + time_s["low"], high_s + time_s["high"]
+        for sweep in self._sweeps(batches):
+            time_s = connection.json("POST", "/sweeps:preview", json=self.definition(sweep))["time_s"]
+            low_s, high_s = low_s + time_s["low"], high_s + time_s["high"]
         return low_s, high_s
+
+    def _sweeps(self, batches: Sequence[Batch]) -> list[Sweep]:
+        """All sweeps of the batches, in the order in which they are run."""
+        return [sweep for batch in batches for sweep in batch.sweeps(self.plan)]
 
     def definition(self, sweep: Sweep) -> dict[str, Any]:
         """A batch's sweep with what is the same for all: seeds, exposure, repeats, how to measure, on what."""
