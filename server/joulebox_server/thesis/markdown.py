@@ -13,7 +13,7 @@ HEAD = """# The study, done again
 
 `joulebox thesis -o DIR` repeats "Energy-Efficient Photon Mapping" (Light, WPI 2007) on the device at hand, through an
 ordinary server and agent: its sweeps, its figures, and a table of its claims with what this device says to each.
-`--quick` takes each configuration once, in CPU seconds; `--batch NAME` runs a part; `--device NAME` has a device of a
+`--quick` takes CPU seconds in place of joules, and most configurations once; `--batch NAME` runs a part; `--device NAME` has a device of a
 running server render, and `--source exec:COMMAND` meters with an instrument of one's own. The same command goes on
 after an interruption.
 The report with every figure is `DIR/report.html`.

@@ -21,12 +21,11 @@ from joulebox_server.thesis.rows import CostBasis, Row
 STUDY_FILE, ROWS_FILE = "study.json", "rows.ndjson"
 EXPOSURE = 3.0
 """Of the Cornell scenes."""
-QUICK_CONTROLS = 3
 FULL_REPEATS = 3
-TIMED = {"window_s": 1.0, "min_windows": 1, "max_windows": 1, "meter": "none"}
+TIMED = {"window_s": 0.05, "min_windows": 1, "max_windows": 1, "meter": "none"}
 TIMED_AGAIN = {"window_s": 5.0, "min_windows": 3, "max_windows": 3, "max_seconds": 1800.0}
 METERED = {"window_s": 60.0, "min_windows": 3, "max_windows": 10, "max_seconds": 1800.0}
-"""Of a quick run, of a full one where nothing can be metered, and of a full one."""
+"""Of a quick run, which times one image after another, of a full one where nothing can be metered, and of a full one."""
 ENDED = ("done", "failed", "cancelled")
 POLL_S = 2.0
 PATIENCE = 20
@@ -163,7 +162,7 @@ class Study:
         same = {
             "exposure": EXPOSURE,
             "repeats": 1 if self.quick else FULL_REPEATS,
-            "controls": QUICK_CONTROLS if self.quick else 1,
+            "controls": 0 if self.quick else 1,
             "measure": TIMED if self.quick else METERED if self.metered else TIMED_AGAIN,
         }
         settings = ({"threads": 1} if self.quick else {}) | sweep.get("settings", {})
