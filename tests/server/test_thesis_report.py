@@ -12,8 +12,8 @@ from joulebox_server.schemas.measure import Stage
 from joulebox_server.thesis import catalogue, direct, discharge, dv
 from joulebox_server.thesis.evaluation import write
 from joulebox_server.thesis.ratings import ratings
-from joulebox_server.thesis.results import Results
 from joulebox_server.thesis.reading import thesis_stages
+from joulebox_server.thesis.results import Results
 from joulebox_server.thesis.rows import Cost
 from joulebox_server.thesis.scatter import Scatters, interval_of, paired
 from joulebox_server.thesis.study import Study, basis_of

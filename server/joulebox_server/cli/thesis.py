@@ -76,9 +76,10 @@ def thesis(
 
 def _run(study: "Study", chosen: "list[Batch]", token: str | None, scenes: Path | None, *, quiet: bool) -> None:
     from joulebox_server.thesis import discharge
+    from joulebox_server.thesis.following import Follower
     from joulebox_server.thesis.local import Local, agent_program
     from joulebox_server.thesis.pages import tiles_of
-    from joulebox_server.thesis.study import Follower, scene_folder
+    from joulebox_server.thesis.study import scene_folder
 
     folder = scene_folder(scenes)
     with contextlib.ExitStack() as stack:

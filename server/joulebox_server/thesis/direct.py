@@ -5,7 +5,7 @@ from typing import Any
 from joulebox_server.thesis import quantities
 from joulebox_server.thesis.batch import THESIS, Batch, Figure, Finding, Plan, Sweep, again
 from joulebox_server.thesis.claims import claims_of
-from joulebox_server.thesis.judging import between, every, finding, largest, ratio, told
+from joulebox_server.thesis.judging import between, every, finding, largest, ratio, saving, told, told_share
 from joulebox_server.thesis.ratings import limit_of
 from joulebox_server.thesis.results import Point, Results, along, compared, only
 
@@ -99,17 +99,17 @@ def advice(results: Results) -> list[str]:
     """The cheapest acceptable way to light directly."""
     reference = results.reference("direct", SCENE)
     fit = [
-        (p.cost.value, rays, name)
+        (p.cost.value, rays, name, p)
         for name, points in _limit_lines(results).items()
         for rays, p in points
         if compared(p).value <= limit_of(p)
     ]
     if not fit:
         return []
-    cost, rays, name = min(fit)
+    _, rays, name, best = min(fit, key=lambda one: one[0])
     return [
-        f"Direct lighting: {rays:.0f} shadow rays, {name}, is the cheapest within the acceptable difference; it costs "
-        f"{cost / reference.cost.value:.0%} of 144 rays without the test."
+        f"Direct lighting: {rays:.0f} shadow rays, {name}, is the cheapest within the acceptable difference; it saves "
+        f"{told_share(saving(best.cost, reference.cost))} of what 144 rays cost without the shadow test."
     ]
 
 

@@ -142,7 +142,10 @@ FIGURES = (
 def advice(results: Results) -> list[str]:
     """What detail costs."""
     fine, coarse = (gathered(results, bunny(detail, "medium")).cost for detail in (DETAILS[-1], DETAILS[0]))
-    return [f"Polygons: by final gathering, 69,666 triangles in place of 948 cost {told(ratio(fine, coarse))} times."]
+    return [
+        "Polygons: do not spare them to save energy. By final gathering, an image with a bunny of 69,666 triangles "
+        f"costs {told(ratio(fine, coarse))} times one with 948."
+    ]
 
 
 BATCH = Batch(

@@ -2,18 +2,18 @@
 
 import json
 import os
-import time
 import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from joulebox_server.cli.connection import CommandError, Connection, UnreachableError, WrongUseError, checked
+from joulebox_server.cli.connection import CommandError, Connection, WrongUseError, checked
 from joulebox_server.cli.sweep_file import SCENE_FILE, send_scenes
 from joulebox_server.store.ids import canonical, sha256_text
 from joulebox_server.thesis import discharge
 from joulebox_server.thesis.batch import Batch, Plan, Sweep
+from joulebox_server.thesis.following import Follower
 from joulebox_server.thesis.reading import read_row
 from joulebox_server.thesis.results import Results
 from joulebox_server.thesis.rows import CostBasis, Row
@@ -25,11 +25,7 @@ FULL_REPEATS = 3
 TIMED = {"window_s": 0.05, "min_windows": 1, "max_windows": 1, "meter": "none"}
 TIMED_AGAIN = {"window_s": 5.0, "min_windows": 3, "max_windows": 3, "max_seconds": 1800.0}
 METERED = {"window_s": 60.0, "min_windows": 3, "max_windows": 10, "max_seconds": 1800.0}
-"""Of a quick run, which times one image after another, of a full one where nothing can be metered, and of a full one."""
-ENDED = ("done", "failed", "cancelled")
-POLL_S = 2.0
-PATIENCE = 20
-"""So many unanswered questions in a row before the server is given up: it may be restarting."""
+"""Of a quick run, which times single images, of a full one where nothing can be metered, and of a full one."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +97,7 @@ class Study:
 
     # --- running -------------------------------------------------------------------------------------------
 
-    def run(self, batches: Sequence[Batch], connection: Connection, scenes: Path, follow: "Follower") -> None:
+    def run(self, batches: Sequence[Batch], connection: Connection, scenes: Path, follow: Follower) -> None:
         """Submit the batches' sweeps unless that was done before, wait for their end, keep their rows.
 
         Raises CommandError when a job failed for good, WrongUseError when the folder's sweeps are those of another
@@ -218,65 +214,6 @@ def basis_of(rows: Sequence[Row]) -> CostBasis:
     if qualities == {"measured"}:
         return "measured"
     return "replayed" if qualities == {"replayed"} else "time"
-
-
-class Follower:
-    """Waits for sweeps and tells how far they are.
-
-    show    called with (finished, total, what is going on) whenever it changes
-    check   raises when what the sweeps depend on has ended
-    """
-
-    def __init__(self, show: Callable[[int, int, str], None], check: Callable[[], None] = lambda: None) -> None:
-        self._show, self._check = show, check
-
-    def until_ended(
-        self, connection: Connection, sweeps: dict[str, str], on_end: Callable[[str], None]
-    ) -> dict[str, dict[str, Any]]:
-        """The summaries of sweeps by name, once all have ended; `on_end` is told the name of each as it does."""
-        told: set[str] = set()
-        while True:
-            summaries = self._asked(connection, set(sweeps.values()))
-            found = {name: summaries[sweep_id] for name, sweep_id in sweeps.items()}
-            for name in sweeps:
-                if found[name]["state"] in ENDED and name not in told:
-                    on_end(name)
-                    told.add(name)
-            doing = next((name for name, s in found.items() if s["jobs"]["leased"]), "")
-            waiting = next((name for name, s in found.items() if s["state"] not in ENDED), "")
-            self._show(
-                sum(s["jobs"]["done"] + s["jobs"]["failed"] + s["jobs"]["cancelled"] for s in found.values()),
-                sum(s["jobs"]["total"] for s in found.values()),
-                doing or (f"{waiting}: comparing or waiting for a device" if waiting else "done"),
-            )
-            if all(s["state"] in ENDED for s in found.values()):
-                return found
-            time.sleep(POLL_S)
-
-    def _asked(self, connection: Connection, wanted: set[str]) -> dict[str, dict[str, Any]]:
-        """Summaries by id. Raises CommandError for a sweep that is gone, UnreachableError for a server that is."""
-        for _ in range(PATIENCE - 1):
-            self._check()
-            try:
-                return _summaries(connection, wanted)
-            except UnreachableError:
-                time.sleep(POLL_S)
-        return _summaries(connection, wanted)
-
-
-def _summaries(connection: Connection, wanted: set[str]) -> dict[str, dict[str, Any]]:
-    """From the list, newest first: one question in place of one a sweep, every time."""
-    found: dict[str, dict[str, Any]] = {}
-    cursor: dict[str, str] = {}
-    with connection.opened() as client:
-        while True:
-            page = checked(client.get("/v1/sweeps", params={"limit": 200, **cursor})).json()
-            found |= {sweep["id"]: sweep for sweep in page["items"] if sweep["id"] in wanted}
-            if len(found) == len(wanted):
-                return found
-            if page["next"] is None:
-                raise CommandError("a sweep of this study was deleted from the server; start again in a new folder")
-            cursor = {"cursor": page["next"]}
 
 
 def scene_folder(given: Path | None) -> Path:
