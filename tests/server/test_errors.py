@@ -1,7 +1,9 @@
 """Every error has one shape: RFC 9457 problem+json with code, request id and the fields at fault."""
 
+import io
 import json
 import sqlite3
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -194,6 +196,25 @@ def test_bad_results(server: Server) -> None:
     assert server.get("/results")["items"] == []
 
 
+DIRECTORY_AT, NAME_LENGTH_AT = -6, 63 + 28
+"""Where `scene_zip()` says where its list of files begins, and how long the name of the first is."""
+
+
+def packed(method: int) -> bytes:
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", method) as bundle:
+        bundle.writestr("scene.xml", bytes(range(256)))
+    return out.getvalue()
+
+
+def damaged(content: bytes, at: int, value: int) -> bytes:
+    """With one byte made another."""
+    assert content[at] != value
+    changed = bytearray(content)
+    changed[at] = value
+    return bytes(changed)
+
+
 BAD_SCENES = [
     (b"not a zip", "not a whole zip file"),
     (scene_zip()[:60], "not a whole zip file"),
@@ -202,6 +223,15 @@ BAD_SCENES = [
     (scene_zip(**{"..\\escape.ply": b"x"}), "outside its folder"),
     (scene_zip(**{"SCENE.xml": b"x"}), "two files of one name"),
     (scene_zip(**{"mesh": b"x", "mesh/box.ply": b"x"}), "two files of one name"),
+    (scene_zip(**{"caf\u00e9": b"x", "cafe\u0301": b"y"}), "two files of one name"),
+    (scene_zip(**{"../folder/": b""}), "outside its folder"),
+    *((scene_zip(**{name: b"x"}), "not every system can keep") for name in ("./scene.xml", "a//b", "a\\b", "b.", "c?")),
+    (scene_zip(**{"long" * 64: b"x"}), "not every system can keep"),
+    (packed(zipfile.ZIP_BZIP2), "in a rare way"),
+    (packed(zipfile.ZIP_LZMA), "in a rare way"),
+    (damaged(packed(zipfile.ZIP_DEFLATED), 45, 0), "not a whole zip file"),
+    (damaged(scene_zip(), DIRECTORY_AT, 200), "not a whole zip file"),
+    (damaged(scene_zip(), NAME_LENGTH_AT, 0), "not a whole zip file"),
 ]
 
 
