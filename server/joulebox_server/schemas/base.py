@@ -3,7 +3,7 @@
 import re
 from typing import Annotated
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, WithJsonSchema
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, WithJsonSchema
 
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 # Controls, invisible spaces and what turns the direction of writing; not the joiners that scripts and emoji need.
@@ -28,8 +28,19 @@ Name = Annotated[
     WithJsonSchema({"type": "string", "minLength": 1, "maxLength": 100, "pattern": NAME}),
 ]
 """A name for people: what they see is what it is, and no slash in it."""
-Scalar = bool | int | float | str | None
+LARGEST_WHOLE = 2**63 - 1
+
+
+def _bounded(value: JsonValue) -> JsonValue:
+    if isinstance(value, int) and abs(value) > LARGEST_WHOLE:
+        raise ValueError(f"a whole number must lie within {LARGEST_WHOLE} of 0")
+    return value
+
+
+Scalar = Annotated[bool | int | float | str | None, AfterValidator(_bounded)]
 """A value of a setting."""
+ToldSetting = Annotated[JsonValue, AfterValidator(_bounded)]
+"""A value of a setting as a renderer tells it."""
 
 
 class Document(BaseModel):
