@@ -251,6 +251,7 @@ def test_scene_limits(tmp_path: Path, executor: Any) -> None:
         told(post("/v1/scenes?name=a", content=bomb, headers=headers), 413, "too_large", "unpacks to more")
         many = scene_zip(**{f"{i}.ply": b"x" for i in range(3)})
         told(post("/v1/scenes?name=a", content=many, headers=headers), 413, "too_large", "4 files")
+        told(post("/v1/scenes?name=..", content=scene_zip(), headers=headers), 422, "invalid", "name: a name may not be")
         told(post("/v1/scenes?name=a/b", content=scene_zip(), headers=headers), 422, "invalid", "name")
 
 

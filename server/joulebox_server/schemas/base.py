@@ -8,7 +8,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, Wi
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 # Controls, invisible spaces and what turns the direction of writing; not the joiners that scripts and emoji need.
 UNSEEN = r"\x00-\x1f\x7f-\x9f\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ud800-\udfff"
-NAME = rf"^[^{UNSEEN}/\\\s]([^{UNSEEN}/\\]*[^{UNSEEN}/\\\s])?$"
+NAME = rf"^(?!\.{{1,2}}$)[^{UNSEEN}/\\\s]([^{UNSEEN}/\\]*[^{UNSEEN}/\\\s])?$"
 
 
 def _seen(name: str) -> str:
@@ -16,6 +16,8 @@ def _seen(name: str) -> str:
     if found is not None:
         what = repr(found[0]) if found[0] in "/\\" else f"U+{ord(found[0]):04X}, which cannot be seen"
         raise ValueError(f"a name may not hold {what}")
+    if name in (".", ".."):
+        raise ValueError(f"a name may not be {name!r}: in an address that is another place")
     if name.strip() != name or not name:
         raise ValueError("a name may not be empty, nor begin or end with a space")
     return name
