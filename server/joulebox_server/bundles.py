@@ -1,6 +1,7 @@
 """Checks a scene bundle: a zip of a scene's folder that may come from anybody."""
 
 import stat
+import unicodedata
 import zipfile
 import zlib
 from pathlib import Path, PurePosixPath
@@ -11,6 +12,16 @@ SCENE_FILE = "scene.xml"
 CHUNK_BYTES = 1 << 20
 SYSTEM_UNIX = 3
 ENCRYPTED = 0x1
+PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+"""What every zip program makes and every device can unpack."""
+UNKEPT = frozenset('<>:"|?*\\') | frozenset(map(chr, range(32)))
+"""Characters that one system or another cannot keep in a file's name."""
+LONGEST_NAME_BYTES = 255
+UNREADABLE = (
+    *(zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, UnicodeDecodeError),
+    *(OSError, IndexError),  # of an offset before the file's begin, of a name without a letter
+)
+"""What `zipfile` raises for bytes that are no zip."""
 
 
 def check_bundle(path: Path, max_files: int, max_bytes: int) -> None:
@@ -24,29 +35,47 @@ def check_bundle(path: Path, max_files: int, max_bytes: int) -> None:
             files = [info for info in bundle.infolist() if not info.is_dir()]
             if len(files) > max_files:
                 raise TooLargeError(f"the scene bundle has {len(files)} files, it may have at most {max_files}")
-            _check_names(files)
+            _check_paths(bundle.infolist())
+            _check_kinds(files)
+            _check_names([info.filename for info in files])
             _check_contents(bundle, files, max_bytes)
-    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, UnicodeDecodeError) as error:
-        raise InvalidError(f"the scene bundle is not a whole zip file: {error}") from None
+    except UNREADABLE as error:
+        raise InvalidError(f"the scene bundle is not a whole zip file: {str(error) or 'it ends too early'}") from None
 
 
-def _check_names(files: list[zipfile.ZipInfo]) -> None:
-    names = [info.filename for info in files]
-    for info in files:
+def _check_paths(members: list[zipfile.ZipInfo]) -> None:
+    for info in members:
         name = PurePosixPath(info.filename.replace("\\", "/"))
-        if name.is_absolute() or ".." in name.parts or ":" in info.filename or "\x00" in info.filename:
+        if name.is_absolute() or ".." in name.parts or ":" in info.filename:
             raise InvalidError(f"the scene bundle has a path outside its folder: {info.filename!r}")
+
+
+def _check_kinds(files: list[zipfile.ZipInfo]) -> None:
+    for info in files:
         mode = info.external_attr >> 16
         if info.create_system == SYSTEM_UNIX and stat.S_IFMT(mode) not in (0, stat.S_IFREG):
             raise InvalidError(f"the scene bundle may hold plain files only, {info.filename!r} is none")
         if info.flag_bits & ENCRYPTED:
             raise InvalidError(f"the scene bundle is encrypted ({info.filename!r})")
-    known = {name.lower() for name in names}
+        if info.compress_type not in PACKINGS:
+            raise InvalidError(f"the scene bundle packs {info.filename!r} in a rare way; store or deflate it")
+
+
+def _check_names(names: list[str]) -> None:
+    """Each name means one file of its own on every system that a device may have."""
+    for name in names:
+        if str(PurePosixPath(name)) != name or not all(map(_can_be_kept, PurePosixPath(name).parts)):
+            raise InvalidError(f"the scene bundle has a name that not every system can keep: {name[:100]!r}")
+    known = {unicodedata.normalize("NFC", name).casefold() for name in names}
     folders = {str(folder) for name in known for folder in PurePosixPath(name).parents}
     if len(known) != len(names) or known & folders:
         raise InvalidError("the scene bundle has two files of one name, or a file and a folder")
     if SCENE_FILE not in names:
         raise InvalidError(f"the scene bundle has no {SCENE_FILE} at its top; zip the inside of the folder")
+
+
+def _can_be_kept(part: str) -> bool:
+    return len(part.encode()) <= LONGEST_NAME_BYTES and not UNKEPT & set(part) and part[-1] not in " ."
 
 
 def _check_contents(bundle: zipfile.ZipFile, files: list[zipfile.ZipInfo], max_bytes: int) -> None:

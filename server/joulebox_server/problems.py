@@ -113,12 +113,16 @@ def add_problem_handlers(app: FastAPI) -> None:
     async def invalid(request: Request, error: Exception) -> JSONResponse:
         assert isinstance(error, RequestValidationError | ValidationError)
         errors = field_errors(error.errors())
+        if any(_is_unread(wrong) for wrong in error.errors()):
+            errors = [FieldError("the body", "it must be JSON, with the header Content-Type: application/json")]
         detail = "; ".join(f"{wrong.field}: {wrong.message}" for wrong in errors[:5])
         return problem(request, *KINDS[InvalidError], detail or "the request is empty", errors)
 
     @app.exception_handler(HTTPException)
     async def refused(request: Request, error: Exception) -> JSONResponse:
         assert isinstance(error, HTTPException)
+        if error.status_code == 400 and isinstance(error.__cause__, InvalidError):
+            return problem(request, *KINDS[InvalidError], f"the body: {error.__cause__}")
         if error.status_code == 400 and isinstance(error.__cause__, RecursionError | ValueError):
             # What FastAPI makes of JSON that Python's reader gives up on.
             return problem(request, *KINDS[InvalidError], f"the body: {_unreadable(error.__cause__)}")
@@ -140,6 +144,11 @@ def add_problem_handlers(app: FastAPI) -> None:
         log.error("request %s failed", request_id_of(request), exc_info=error)
         detail = f"the server failed; its log says more under {request_id_of(request)}"
         return problem(request, *KINDS[ServerError], detail)
+
+
+def _is_unread(wrong: Any) -> bool:
+    """Whether a body was kept as bytes, as FastAPI keeps what is not sent as JSON."""
+    return tuple(wrong["loc"]) == ("body",) and isinstance(wrong.get("input"), bytes)
 
 
 def _unreadable(error: BaseException) -> str:

@@ -58,6 +58,7 @@ def test_any_json(tmp_path: Path, document: Any) -> None:
         ("a.toml", b"a = 2026-11-22", "finite numbers"),
         ("a.json", b'{"a": "\\ud800"}', None),
         ("a.json", b"[1]", "must hold an object"),
+        ("a.json", b'{"name": "a", "name": "b"}', "'name' stands twice"),
         ("a.toml", b"#" * (17 << 20), "larger than 16 MiB"),
     ],
 )

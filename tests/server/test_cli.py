@@ -73,6 +73,21 @@ def test_from_file_to_recommendation(run: Run, live: Server, there: list[str], s
     assert run("sweep", "delete", sweep["id"], *there)[0] == 0
 
 
+def test_a_name_is_taken_whole(run: Run, live: Server, there: list[str], tmp_path: Path) -> None:
+    """`a?b`, `a#b` and `a%62` are other sweeps than `a`, and `a/jobs` is none."""
+    kept = live.add_sweep(name="a")["id"]
+    for name in ("a?b", "a#b", "a%62", "K\u00fcche \u2615"):
+        live.add_sweep(name=name)
+        assert json.loads(run("sweep", "status", name, *there, "--json")[1])["name"] == name
+        assert run("sweep", "delete", name, *there)[0] == 0
+    failed(run("sweep", "delete", "a?b", *there), 1, "no sweep has the id or name 'a?b'")
+    failed(run("report", "a?b", "-o", str(tmp_path / "out"), *there), 1, "no sweep has the id or name 'a?b'")
+    for name in ("", ".", "..", "a/jobs"):
+        failed(run("sweep", "status", name, *there), 2, f"{name!r} is neither a name nor an id")
+        failed(run("device", "revoke", name, *there), 2, f"{name!r} is neither a name nor an id")
+    assert live.get(f"/sweeps/{kept}")["name"] == "a"
+
+
 def test_state_changes(run: Run, live: Server, there: list[str]) -> None:
     sweep = live.add_sweep()
     for action, state in (("pause", "paused"), ("resume", "running"), ("cancel", "cancelled")):

@@ -1,7 +1,9 @@
 """Every error has one shape: RFC 9457 problem+json with code, request id and the fields at fault."""
 
+import io
 import json
 import sqlite3
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -106,7 +108,8 @@ BAD_SWEEPS: list[tuple[dict[str, Any], str, str]] = [
     ({"rule": "list"}, "the body", "belong together"),
     ({"devices": ["laptop"], "requires": {"os": "x"}}, "the body", "cannot both be given"),
     ({"limit": 0}, "limit", "greater than 0"),
-    ({"settings": {"seed": 10**30}}, "the body", "whole number from 0 to 9007199254740992"),
+    ({"settings": {"seed": 2**60}}, "the body", "whole number from 0 to 9007199254740992"),
+    ({"settings": {"seed": 10**30}}, "settings.seed", "a whole number must lie within"),
     ({"axes": {"seed": [1, 1.5]}}, "the body", "seed is 1.5"),
     ({"reference": {"settings": {"seed": True}}}, "the body", "seed is True"),
 ]
@@ -194,6 +197,25 @@ def test_bad_results(server: Server) -> None:
     assert server.get("/results")["items"] == []
 
 
+DIRECTORY_AT, NAME_LENGTH_AT = -6, 63 + 28
+"""Where `scene_zip()` says where its list of files begins, and how long the name of the first is."""
+
+
+def packed(method: int) -> bytes:
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", method) as bundle:
+        bundle.writestr("scene.xml", bytes(range(256)))
+    return out.getvalue()
+
+
+def damaged(content: bytes, at: int, value: int) -> bytes:
+    """With one byte made another."""
+    assert content[at] != value
+    changed = bytearray(content)
+    changed[at] = value
+    return bytes(changed)
+
+
 BAD_SCENES = [
     (b"not a zip", "not a whole zip file"),
     (scene_zip()[:60], "not a whole zip file"),
@@ -202,6 +224,15 @@ BAD_SCENES = [
     (scene_zip(**{"..\\escape.ply": b"x"}), "outside its folder"),
     (scene_zip(**{"SCENE.xml": b"x"}), "two files of one name"),
     (scene_zip(**{"mesh": b"x", "mesh/box.ply": b"x"}), "two files of one name"),
+    (scene_zip(**{"caf\u00e9.ply": b"x", "cafe\u0301.ply": b"y"}), "two files of one name"),
+    (scene_zip(**{"../folder/": b""}), "outside its folder"),
+    *((scene_zip(**{name: b"x"}), "not every system can keep") for name in ("./scene.xml", "a//b", "a\\b", "b.", "c?")),
+    (scene_zip(**dict.fromkeys(["long" * 64], b"x")), "not every system can keep"),
+    (packed(zipfile.ZIP_BZIP2), "in a rare way"),
+    (packed(zipfile.ZIP_LZMA), "in a rare way"),
+    (damaged(packed(zipfile.ZIP_DEFLATED), 45, 0), "not a whole zip file"),
+    (damaged(scene_zip(), DIRECTORY_AT, 200), "not a whole zip file"),
+    (damaged(scene_zip(), NAME_LENGTH_AT, 0), "not a whole zip file"),
 ]
 
 
@@ -221,6 +252,9 @@ def test_scene_limits(tmp_path: Path, executor: Any) -> None:
         told(post("/v1/scenes?name=a", content=bomb, headers=headers), 413, "too_large", "unpacks to more")
         many = scene_zip(**{f"{i}.ply": b"x" for i in range(3)})
         told(post("/v1/scenes?name=a", content=many, headers=headers), 413, "too_large", "4 files")
+        told(
+            post("/v1/scenes?name=..", content=scene_zip(), headers=headers), 422, "invalid", "name: a name may not be"
+        )
         told(post("/v1/scenes?name=a/b", content=scene_zip(), headers=headers), 422, "invalid", "name")
 
 
@@ -261,3 +295,46 @@ def test_unexpected_error(server: Server, monkeypatch: pytest.MonkeyPatch) -> No
     problem = told(answer, 500, "failed", "its log says more")
     assert "secret" not in answer.text
     assert problem["request_id"] in problem["detail"]
+
+
+PASSED_OVER = [
+    ("/v1/sweeps?limit=2&curser=x", "curser: this field is not known; known are cursor, limit"),
+    ("/v1/results?sweep_id=x", "sweep_id: this field is not known"),
+    ("/v1/devices/x?limit=1", "limit: this field is not known; there are none here"),
+    ("/v1/sweeps?cursor=zzz", "cursor: string should match pattern"),
+    ("/v1/results?cursor=", "cursor: string should match pattern"),
+]
+
+
+@pytest.mark.parametrize(("path", "sentence"), PASSED_OVER)
+def test_a_question_is_answered_whole_or_not_at_all(shared: Server, path: str, sentence: str) -> None:
+    """A misspelt filter would answer with everything, a damaged cursor with the first page once more."""
+    told(shared.client.get(path), 422, "invalid", sentence)
+
+
+def test_every_parameter_of_the_description_is_known(shared: Server) -> None:
+    """No route refuses a query parameter that the OpenAPI document says it has."""
+    described = shared.client.get("/openapi.json").json()["paths"]
+    asked = 0
+    for path, methods in described.items():
+        for parameter in methods.get("get", {}).get("parameters", []):
+            if parameter["in"] == "query" and path.startswith("/v1/") and path != "/v1/events":
+                answer = shared.client.get(path.replace("{", "").replace("}", ""), params={parameter["name"]: "1"})
+                assert "this field is not known" not in answer.text, (path, parameter["name"])
+                asked += 1
+    assert asked > 20
+
+
+def test_a_body_says_each_thing_once(shared: Server) -> None:
+    twice = b'{"repeats": 1, ' + json.dumps(sweep(name="twice", repeats=5)).encode()[1:]
+    headers = shared.operator | {"Content-Type": "application/json"}
+    told(shared.client.post("/v1/sweeps", content=twice, headers=headers), 422, "invalid", "'repeats' stands twice")
+    told(
+        shared.client.post("/v1/sweeps", content=b"x", headers=headers | {"Content-Encoding": "gzip"}),
+        422, "invalid", "it is packed (gzip); send it as it is",
+    )  # fmt: skip
+    told(
+        shared.client.post("/v1/sweeps", content=twice, headers=shared.operator | {"Content-Type": "text/plain"}),
+        422, "invalid", "the body: it must be JSON, with the header Content-Type: application/json",
+    )  # fmt: skip
+    assert "twice" not in [found["name"] for found in shared.get("/sweeps")["items"]]

@@ -1,6 +1,7 @@
 """Values that fit the type of their field and still cannot be used: refused in one sentence, nothing stored."""
 
 import json
+from typing import Any
 
 import pytest
 from fake_device import capabilities, measure_document, picture, sweep
@@ -59,6 +60,63 @@ def test_a_schema_whose_references_lead_nowhere(server: Server, reference: str) 
         json=capabilities(renderer={"name": "fake", "version": "1", "settings_schema": schema}),
     )
     told(answer, 422, "invalid", f"{reference!r} leads to none of its definitions")
+
+
+FAULTY_SCHEMAS = [
+    ({"properties": {"a": {"$ref": "#/$defs/a"}}, "$defs": {"a": {"$ref": "#/$defs/a"}}}, "back to themselves"),
+    (
+        {"properties": {"a": {}}, "$defs": {"a": {"anyOf": [{"$ref": "#/$defs/b"}]}, "b": {"$ref": "#/$defs/a"}}},
+        "#/$defs/a, #/$defs/b lead back to themselves",
+    ),
+    ({"properties": {"a": True}}, "its 'a' is True"),
+    (
+        {"properties": {"a": {"anyOf": [{"$id": "http://x/", "$ref": "#/$defs/b"}]}}, "$defs": {"b": {}}},
+        "its 'a' has an $id",
+    ),
+]
+
+
+@pytest.mark.parametrize(("schema", "sentence"), FAULTY_SCHEMAS)
+def test_a_schema_by_which_nothing_can_be_checked(server: Server, schema: dict[str, Any], sentence: str) -> None:
+    """Refused when it is told: later it would answer every sweep for this device with a fault of ours."""
+    device = server.device(renderer=None)
+    answer = server.client.put(
+        f"/v1/devices/{device.device_id}/capabilities",
+        headers=device.headers,
+        json=capabilities(renderer={"name": "fake", "version": "1", "settings_schema": schema}),
+    )
+    told(answer, 422, "invalid", sentence)
+
+
+def test_a_pattern_that_takes_for_ever_is_left_to_the_renderer(server: Server) -> None:
+    """Forty letters would keep Python's regular expressions busy for 2**40 steps."""
+    schema = {"properties": {"a": {"type": "string", "pattern": "^(a+)+$"}}}
+    server.device(renderer={"name": "fake", "version": "1", "settings_schema": schema})
+    asked = sweep(settings={"a": "a" * 40 + "!"}, axes={})
+    assert server.client.post("/v1/sweeps:preview", headers=server.operator, json=asked).status_code == 200
+    asked["settings"] = {"a": 5}
+    answer = server.client.post("/v1/sweeps:preview", headers=server.operator, json=asked)
+    told(answer, 422, "invalid", "settings.a: 5 is not of type string")
+
+
+def test_whole_numbers_without_end(server: Server) -> None:
+    """10**400 is JSON, and no number that a chart or an exposure can be made of."""
+    for changes in ({"settings": {"exposure": 10**400}}, {"axes": {"gather_count": [-(10**400)]}}):
+        answer = server.client.post("/v1/sweeps", headers=server.operator, json=sweep(**changes))
+        told(answer, 422, "invalid", "a whole number must lie within 9223372036854775807 of 0")
+    server.add_sweep()
+    device = server.device()
+    lease = device.lease()[0]
+    document = measure_document(lease, image_blob=None)
+    document["settings"]["gather_count"] = 10**400
+    told(device.put_result(lease, document), 422, "invalid", "settings.gather_count: a whole number must lie")
+
+
+def test_a_void_without_a_reason(server: Server) -> None:
+    server.add_sweep()
+    device = server.device()
+    lease = device.lease()[0]
+    told(device.put_result(lease, measure_document(lease, image_blob=None, void="")), 422, "invalid", "void: ")
 
 
 def test_a_misspelt_budget_is_not_passed_over(server: Server) -> None:

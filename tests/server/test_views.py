@@ -67,6 +67,9 @@ def test_an_end_is_expected_from_the_jobs_that_are_done(server: Server) -> None:
     assert "resume" in server.get(f"/sweeps/{sweep}/progress")["reason"]
 
 
+TWICE = '{"name": "x", "name": "y"}'
+
+
 def read(server: Server, text: str) -> Any:
     headers = server.operator | {"Content-Type": "text/plain"}
     return server.client.post("/v1/sweeps:read", content=text.encode(), headers=headers)
@@ -79,7 +82,7 @@ def test_a_pasted_file_is_read_as_toml_or_json(server: Server) -> None:
     assert told["definition"]["scenes"] == [{"name": "box"}, {"name": "box", "defines": {"a": "1"}}, "box", "hall"]
     assert len(told["notes"]) == 2
     assert read(server, '{"name": "x", "scenes": ["box"]}').json()["definition"] == {"name": "x", "scenes": ["box"]}
-    for wrong, word in (("name = ", "TOML"), ("{", "JSON"), ("", "holds nothing"), ("[" * 5000, "TOML")):
+    for wrong, word in (("name = ", "TOML"), ("{", "JSON"), (TWICE, "stands twice"), ("", "holds nothing"), ("[" * 5000, "TOML")):
         answer = read(server, wrong)
         assert answer.status_code == 422
         assert word in answer.json()["detail"]

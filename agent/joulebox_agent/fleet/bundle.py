@@ -5,6 +5,7 @@ import re
 import shutil
 import stat
 import zipfile
+import zlib
 from pathlib import Path, PurePosixPath
 
 from joulebox_agent.errors import BundleError
@@ -13,6 +14,8 @@ from joulebox_agent.fleet.server import Server
 LARGEST_SCENE_BYTES = 2 * 2**30
 MOST_FILES = 10_000
 SAFE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+OTHER_NAME = "scene"
+"""The folder of a scene whose name is no safe one for a folder: with spaces, in other scripts."""
 
 
 class SceneCache:
@@ -27,9 +30,8 @@ class SceneCache:
 
         Raises BundleError when the bundle is unsafe or not what its hash says, server errors, and OSError.
         """
-        if not SAFE_NAME.fullmatch(name):
-            raise BundleError(f"The scene name {name!r} cannot be a folder's name.")
-        target = self._folder / sha256 / name
+        folder = name if SAFE_NAME.fullmatch(name) else OTHER_NAME
+        target = self._folder / sha256 / folder
         if target.is_dir():
             return target
         draft = self._folder / f"{sha256}.draft"
@@ -41,9 +43,9 @@ class SceneCache:
             with archive.open("rb") as file:
                 if hashlib.file_digest(file, "sha256").hexdigest() != sha256:
                     raise BundleError(f"The bundle of scene {name} does not have its hash {sha256[:12]}.")
-            unpack(archive, draft / name)
+            unpack(archive, draft / folder)
             target.parent.mkdir(exist_ok=True)
-            (draft / name).rename(target)
+            (draft / folder).rename(target)
         finally:
             shutil.rmtree(draft, ignore_errors=True)
         return target
@@ -60,7 +62,7 @@ def unpack(archive: Path, folder: Path) -> None:
             left = LARGEST_SCENE_BYTES
             for member in members:
                 left -= _extract(bundle, member, folder, left)
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError) as error:
+    except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError) as error:
         raise BundleError(f"The scene bundle is not a readable zip: {error}.") from error
     if not (folder / "scene.xml").is_file():
         raise BundleError("The scene bundle has no scene.xml at its top.")

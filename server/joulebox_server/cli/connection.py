@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
+from urllib.parse import quote
 
 import httpx2
 import typer
@@ -84,6 +85,16 @@ class Connection:
             raise UnreachableError(
                 f"no server answers at {self.url} ({error}); start one with `joulebox serve`, or give --server"
             ) from None
+
+
+def named(key: str) -> str:
+    """A name or id as one part of a path, whatever letters it has: `a?b` is another sweep than `a`.
+
+    Raises WrongUseError for what can be neither.
+    """
+    if key in ("", ".", "..") or "/" in key:  # servers read %2F as a slash
+        raise WrongUseError(f"{key!r} is neither a name nor an id")
+    return quote(key, safe="")
 
 
 def checked(response: httpx2.Response) -> httpx2.Response:

@@ -4,7 +4,15 @@ from typing import Annotated, Any
 
 import typer
 
-from joulebox_server.cli.connection import DataOption, JsonOption, ServerOption, TokenOption, WrongUseError, connect
+from joulebox_server.cli.connection import (
+    DataOption,
+    JsonOption,
+    ServerOption,
+    TokenOption,
+    WrongUseError,
+    connect,
+    named,
+)
 from joulebox_server.cli.output import print_json, print_table
 
 HEALTHS = ("good", "suspect", "maintenance", "retired")
@@ -85,7 +93,7 @@ def rotate_token(
     as_json: JsonOption = False,
 ) -> None:
     """Make a new token for a device and print it, this once; the old one ends."""
-    found = connect(server, token, data).json("POST", f"/devices/{device}/token")
+    found = connect(server, token, data).json("POST", f"/devices/{named(device)}/token")
     if as_json:
         print_json(found)
     else:
@@ -101,7 +109,7 @@ def disagreements(
     as_json: JsonOption = False,
 ) -> None:
     """Pictures of a device that differ from what another made of the same settings, the newest 200."""
-    found = connect(server, token, data).json("GET", f"/devices/{device}/disagreements", params={"limit": 200})
+    found = connect(server, token, data).json("GET", f"/devices/{named(device)}/disagreements", params={"limit": 200})
     if as_json:
         print_json(found)
         return
@@ -132,7 +140,7 @@ def revoke(
     as_json: JsonOption = False,
 ) -> None:
     """Shut a device out; what it measured stays."""
-    connect(server, token, data).request("DELETE", f"/devices/{device}")
+    connect(server, token, data).request("DELETE", f"/devices/{named(device)}")
     if as_json:
         print_json({"revoked": device})
     else:
@@ -151,7 +159,7 @@ def health(
     """Set a device's health; suspect, in maintenance or retired it gets no jobs, and `good` clears it."""
     if value not in HEALTHS:
         raise WrongUseError(f"a device's health is one of {', '.join(HEALTHS)}, not {value!r}")
-    found = connect(server, token, data).json("PATCH", f"/devices/{device}", json={"health": value})
+    found = connect(server, token, data).json("PATCH", f"/devices/{named(device)}", json={"health": value})
     if as_json:
         print_json(found)
     else:

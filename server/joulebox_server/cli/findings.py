@@ -14,6 +14,7 @@ from joulebox_server.cli.connection import (
     WrongUseError,
     checked,
     connect,
+    named,
 )
 from joulebox_server.cli.output import print_json, print_table, quantity
 
@@ -35,7 +36,7 @@ def tradeoff(
 ) -> None:
     """Cost and difference of every configuration."""
     params = {name: value for name, value in (("scene", scene), ("device", device)) if value is not None}
-    found = connect(server, token, data).json("GET", f"/sweeps/{sweep}/tradeoff", params=params)
+    found = connect(server, token, data).json("GET", f"/sweeps/{named(sweep)}/tradeoff", params=params)
     if as_json:
         print_json(found)
         return

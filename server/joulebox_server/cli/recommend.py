@@ -4,7 +4,15 @@ from typing import Annotated, Any
 
 import typer
 
-from joulebox_server.cli.connection import Connection, DataOption, JsonOption, ServerOption, TokenOption, connect
+from joulebox_server.cli.connection import (
+    Connection,
+    DataOption,
+    JsonOption,
+    ServerOption,
+    TokenOption,
+    connect,
+    named,
+)
 from joulebox_server.cli.findings import DeviceOption, SceneOption, SweepArgument
 from joulebox_server.cli.output import print_json, quantity
 
@@ -50,7 +58,7 @@ def recommend(
     }
     params = {name: value for name, value in given.items() if value is not None}
     connection = connect(server, token, data)
-    path = f"/sweeps/{sweep}/recommendation"
+    path = f"/sweeps/{named(sweep)}/recommendation"
     found = connection.json("GET", path, params=params)
     if confirm is not None:
         found["queued_jobs"] = _queued(connection, path, params, confirm)

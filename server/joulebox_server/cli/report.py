@@ -17,6 +17,7 @@ from joulebox_server.cli.connection import (
     WrongUseError,
     checked,
     connect,
+    named,
 )
 from joulebox_server.cli.output import print_json
 from joulebox_server.errors import NotFoundError
@@ -54,7 +55,7 @@ def report(
     asked = Asked(tuple(scene or ()), tuple(device or ()), budget_j, budget_s, difference_limit)
     with connect(server, token, data).opened() as client:
         ask = _asking(client)
-        findings = [gather(ask, sweep, asked, _tell) for sweep in dict.fromkeys(sweeps)]
+        findings = [gather(ask, named(sweep), asked, _tell) for sweep in dict.fromkeys(sweeps)]
     _clear(output)
     files = write(sweep_report(findings), output)
     if as_json:

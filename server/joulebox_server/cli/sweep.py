@@ -13,6 +13,7 @@ from joulebox_server.cli.connection import (
     TokenOption,
     checked,
     connect,
+    named,
 )
 from joulebox_server.cli.output import print_json, print_table
 from joulebox_server.cli.sweep_file import read_sweep, send_scenes
@@ -123,7 +124,7 @@ def status(
 ) -> None:
     """How far a sweep is, and why jobs failed."""
     connection = connect(server, token, data)
-    found = connection.json("GET", f"/sweeps/{sweep}")
+    found = connection.json("GET", f"/sweeps/{named(sweep)}")
     if as_json:
         print_json(found)
         return
@@ -165,7 +166,7 @@ def retry(
     as_json: JsonOption = False,
 ) -> None:
     """Queue the failed jobs of a sweep again, and no others."""
-    found = connect(server, token, data).json("POST", f"/sweeps/{sweep}:retry-failed")
+    found = connect(server, token, data).json("POST", f"/sweeps/{named(sweep)}:retry-failed")
     if as_json:
         print_json(found)
     else:
@@ -217,7 +218,7 @@ def delete(
     as_json: JsonOption = False,
 ) -> None:
     """Remove a sweep with its results and the pictures that only it used."""
-    connect(server, token, data).request("DELETE", f"/sweeps/{sweep}")
+    connect(server, token, data).request("DELETE", f"/sweeps/{named(sweep)}")
     if as_json:
         print_json({"deleted": sweep})
     else:
@@ -225,7 +226,7 @@ def delete(
 
 
 def _act(connection: Connection, sweep: str, action: str, as_json: bool) -> None:
-    found = connection.json("PATCH", f"/sweeps/{sweep}", json={"action": action})
+    found = connection.json("PATCH", f"/sweeps/{named(sweep)}", json={"action": action})
     if as_json:
         print_json(found)
     else:

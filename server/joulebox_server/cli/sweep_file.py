@@ -11,6 +11,8 @@ from urllib.parse import urlencode
 import httpx2
 
 from joulebox_server.cli.connection import WrongUseError, checked
+from joulebox_server.errors import InvalidError
+from joulebox_server.plain_json import read_json
 
 SCENE_FILE = "scene.xml"
 LARGEST_FILE_BYTES = 16 << 20
@@ -30,10 +32,10 @@ def read_sweep(path: Path) -> dict[str, Any]:
     if len(content) > LARGEST_FILE_BYTES:
         raise WrongUseError(f"the sweep file {path} is larger than {LARGEST_FILE_BYTES >> 20} MiB")
     try:
-        found = json.loads(text) if kind == "JSON" else tomllib.loads(text)
+        found = read_json(text) if kind == "JSON" else tomllib.loads(text)
     except RecursionError:
         raise WrongUseError(f"the sweep file {path} is nested too deeply") from None
-    except ValueError as error:  # also of numbers with too many digits
+    except (ValueError, InvalidError) as error:  # also of numbers with too many digits
         raise WrongUseError(f"the sweep file {path} is not valid {kind}: {error}") from None
     if not isinstance(found, dict):
         raise WrongUseError(f"the sweep file {path} must hold an object")

@@ -8,7 +8,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from joulebox_server.cli.connection import CommandError, Connection, UnreachableError
+from joulebox_server.cli.connection import CommandError, Connection, UnreachableError, named
 
 ENDED = ("done", "failed", "cancelled")
 POLL_S = 1.0
@@ -19,7 +19,7 @@ PATIENCE = 20
 def watch_sweep(connection: Connection, sweep: str, timeout_s: float | None, *, quiet: bool) -> dict[str, Any]:
     """The sweep's summary once it ended. Raises CommandError when `timeout_s` pass before."""
     ends_s = None if timeout_s is None else time.monotonic() + timeout_s
-    found: dict[str, Any] = connection.json("GET", f"/sweeps/{sweep}")
+    found: dict[str, Any] = connection.json("GET", f"/sweeps/{named(sweep)}")
     on_terminal = sys.stderr.isatty() and not quiet
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), disable=not on_terminal) as progress:

@@ -9,7 +9,7 @@ from sqlite_utils import Database
 
 from joulebox_server.errors import ForbiddenError, InvalidError, UnauthenticatedError
 from joulebox_server.problems import told
-from joulebox_server.routes.paging import ETAG, Cursor, Id, IfMatch, Key, Limit, page
+from joulebox_server.routes.paging import ETAG, Cursor, Id, IfMatch, Key, Limit, NameCursor, page
 from joulebox_server.routes.versioned import versioned
 from joulebox_server.routes.wheels import join_command
 from joulebox_server.schemas.answers import Device as DeviceDocument
@@ -90,7 +90,7 @@ def put_capabilities(
 
 
 @router.get("/devices", response_model=DevicePage)
-def list_devices(services: ServicesOf, _: Viewer, limit: Limit = 100, cursor: Cursor = None) -> dict[str, Any]:
+def list_devices(services: ServicesOf, _: Viewer, limit: Limit = 100, cursor: NameCursor = None) -> dict[str, Any]:
     """Every enrolled device, by name."""
     now = services.clock()
 

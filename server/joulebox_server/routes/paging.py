@@ -7,7 +7,11 @@ from fastapi import Header, Path, Query
 LARGEST_PAGE = 200
 
 Limit = Annotated[int, Query(ge=1, le=LARGEST_PAGE)]
-Cursor = Annotated[str | None, Query(max_length=200, description="The `next` of the page before.")]
+NEXT = "The `next` of the page before."
+Cursor = Annotated[
+    str | None, Query(pattern=r"^[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}$", description=f"{NEXT} An id.")
+]
+NameCursor = Annotated[str | None, Query(max_length=200, description=f"{NEXT} A name.")]
 IfMatch = Annotated[
     str | None,
     Header(max_length=200, description='The ETag that was read, such as "v3": the change is refused if it is no more.'),

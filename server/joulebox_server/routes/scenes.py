@@ -9,7 +9,7 @@ from sqlite_utils import Database
 
 from joulebox_server.bundles import check_bundle
 from joulebox_server.problems import told
-from joulebox_server.routes.paging import Cursor, Limit, page
+from joulebox_server.routes.paging import Limit, NameCursor, page
 from joulebox_server.routes.versioned import versioned
 from joulebox_server.schemas.answers import SceneBundle, ScenePage
 from joulebox_server.schemas.base import Name
@@ -47,6 +47,6 @@ async def post_scene(services: ServicesOf, _: Operator, request: Request, name: 
 
 
 @router.get("/scenes", response_model=ScenePage)
-def list_scenes(services: ServicesOf, _: Anyone, limit: Limit = 100, cursor: Cursor = None) -> dict[str, Any]:
+def list_scenes(services: ServicesOf, _: Anyone, limit: Limit = 100, cursor: NameCursor = None) -> dict[str, Any]:
     """The scenes that sweeps can name."""
     return page(services.store.read(scenes.listed, limit + 1, cursor), limit, "name")

@@ -9,8 +9,9 @@ from fastapi import Body
 from sqlite_utils import Database
 
 from joulebox_server.errors import InvalidError
+from joulebox_server.plain_json import read_json
 from joulebox_server.problems import told
-from joulebox_server.routes.paging import Cursor, Key, Limit, page
+from joulebox_server.routes.paging import Key, Limit, NameCursor, page
 from joulebox_server.routes.versioned import versioned
 from joulebox_server.schemas.views import FleetPage, Progress, ReadSweep
 from joulebox_server.services import Operator, ServicesOf, Viewer
@@ -23,7 +24,7 @@ router = versioned("views")
 
 
 @router.get("/fleet", response_model=FleetPage)
-def list_fleet(services: ServicesOf, _: Viewer, limit: Limit = 100, cursor: Cursor = None) -> dict[str, Any]:
+def list_fleet(services: ServicesOf, _: Viewer, limit: Limit = 100, cursor: NameCursor = None) -> dict[str, Any]:
     """Battery, meter and last control run of every device, as its last results tell, by name."""
     return page(services.store.read(fleet.listed, limit + 1, cursor), limit, "device")
 
@@ -56,7 +57,7 @@ def _scenes(db: Database) -> list[dict[str, Any]]:
 def _parsed(text: str) -> dict[str, Any]:
     as_json = text.lstrip().startswith("{")
     try:
-        found = json.loads(text) if as_json else tomllib.loads(text)
+        found = read_json(text) if as_json else tomllib.loads(text)
     except (json.JSONDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise InvalidError(f"this is not valid {'JSON' if as_json else 'TOML'}: {error}") from None
     if not found:

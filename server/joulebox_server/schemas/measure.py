@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, JsonValue, model_validator
 
-from joulebox_server.schemas.base import Document, Interval, Sha256
+from joulebox_server.schemas.base import Document, Interval, Sha256, ToldSetting
 
 LARGEST = 1e12
 """Joules or seconds; beyond it the microunits at rest would overflow."""
@@ -92,7 +92,7 @@ class MeasureDocument(Document):
     schema_version: Literal[1] = Field(default=1, alias="schema")
     scene: str
     scene_sha256: str
-    settings: dict[str, JsonValue]
+    settings: dict[str, ToldSetting]
     renderer: MeasuredRenderer
     method: str = Field(min_length=1, max_length=50)
     quality: Literal["measured", "estimated", "replayed", "none"]
@@ -108,7 +108,7 @@ class MeasureDocument(Document):
     stages: dict[str, Stage] = Field(default_factory=dict)
     power_samples: Sha256 | None = None
     conditions: dict[str, JsonValue] = Field(default_factory=dict)
-    void: str | None = None
+    void: str | None = Field(default=None, min_length=1)
     pixel_sha256: Sha256 | None = None
     image_blob: Sha256 | None = None
     plan: dict[str, JsonValue] | None = None

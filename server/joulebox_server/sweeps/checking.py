@@ -6,12 +6,15 @@ from typing import Any
 
 from jsonschema import Draft202012Validator
 from jsonschema.exceptions import SchemaError, ValidationError, best_match
+from jsonschema.validators import extend
 
 from joulebox_server.errors import FieldError
 from joulebox_server.schemas.sweep import Range, SweepDefinition
 
 PRESET = "preset"
+REFERENCES = ("$ref", "$dynamicRef")
 DEFINITIONS = ("$defs", "definitions")
+LARGEST_ECHO = 60
 LARGEST_SCHEMA = 5000
 """Values in a schema; ours holds some hundreds, and to check one takes 0.2 ms a value."""
 
@@ -26,9 +29,23 @@ def schema_fault(schema: Mapping[str, Any]) -> str | None:
         return str(error.message)
     if not isinstance(schema.get("properties"), dict):
         return "it has no properties"
-    known = {f"#/{key}/{name}" for key in DEFINITIONS for name in schema.get(key, {})}
-    lost = next((reference for reference in _references(schema) if reference not in known), None)
-    return None if lost is None else f"its reference {lost!r} leads to none of its definitions"
+    known = {f"#/{key}/{name}": inner for key in DEFINITIONS for name, inner in schema.get(key, {}).items()}
+    for name, inner in [*schema["properties"].items(), *known.items()]:
+        if not isinstance(inner, dict):
+            return f"its {name!r} is {inner!r} and no object that says what it may be"
+        if any(True for _ in _values(inner, "$id")):
+            return f"its {name!r} has an $id, so that its references lead elsewhere"
+    lost = next((reference for reference in _values(schema, *REFERENCES) if reference not in known), None)
+    if lost is not None:
+        return f"its reference {lost!r} leads to none of its definitions"
+    return _circle({name: set(_values(inner, *REFERENCES)) for name, inner in known.items()})
+
+
+def _circle(leads: dict[str, set[str]]) -> str | None:
+    """What is wrong when a definition leads back to itself: to look a setting up in it would never end."""
+    while ends := [name for name, others in leads.items() if not others]:
+        leads = {name: others - set(ends) for name, others in leads.items() if others}
+    return f"its definitions {', '.join(leads)} lead back to themselves" if leads else None
 
 
 def _holds_more(document: Any, most: int) -> bool:
@@ -43,17 +60,25 @@ def _holds_more(document: Any, most: int) -> bool:
     return count > most
 
 
-def _references(part: Any) -> Iterator[Any]:
-    """Every `$ref` in a part of a schema; one that leads elsewhere would be fetched over the network."""
+def _values(part: Any, *keys: str) -> Iterator[Any]:
+    """What these keys hold anywhere in a part of a schema."""
     if isinstance(part, dict):
         for key, inner in part.items():
-            if key in ("$ref", "$dynamicRef"):
+            if key in keys:
                 yield inner
             else:
-                yield from _references(inner)
+                yield from _values(inner, *keys)
     elif isinstance(part, list):
         for inner in part:
-            yield from _references(inner)
+            yield from _values(inner, *keys)
+
+
+def _passed_over(*_: Any) -> Iterator[ValidationError]:
+    """Of a text's pattern the renderer is judge: a device's regular expression could hold the server for years."""
+    yield from ()
+
+
+Settings = extend(Draft202012Validator, {"pattern": _passed_over, "patternProperties": _passed_over})
 
 
 def settings_errors(definition: SweepDefinition, schema: Mapping[str, Any]) -> list[FieldError]:
@@ -98,7 +123,7 @@ def _problem(schema: Mapping[str, Any], name: str, value: Any) -> str | None:
         return f"the renderer has no setting {name!r}; {hint}"
     # Of a property alone, with the definitions that it may refer to.
     alone = {**properties[name], **{key: schema[key] for key in DEFINITIONS if key in schema}}
-    error = best_match(Draft202012Validator(alone).iter_errors(value))
+    error = best_match(Settings(alone).iter_errors(value))
     return None if error is None else _sentence(_telling(error))
 
 
@@ -118,13 +143,14 @@ def _sentence(error: ValidationError) -> str:
         "exclusiveMinimum": "more than",
         "exclusiveMaximum": "less than",
     }
+    given = repr(error.instance)[:LARGEST_ECHO]
     if error.validator in words:
-        return f"{error.instance!r} must be {words[str(error.validator)]} {bound}"
+        return f"{given} must be {words[str(error.validator)]} {bound}"
     if error.validator == "enum":
         choices = [str(choice) for choice in bound]
         nearest = get_close_matches(str(error.instance), choices, n=1, cutoff=0.5)
         hint = f"; did you mean {nearest[0]!r}?" if nearest else ""
-        return f"{error.instance!r} is not one of {', '.join(choices)}{hint}"
+        return f"{given} is not one of {', '.join(choices)}{hint}"
     if error.validator == "type":
-        return f"{error.instance!r} is not of type {bound}"
-    return str(error.message)
+        return f"{given} is not of type {bound}"
+    return str(error.message)[: 5 * LARGEST_ECHO]
