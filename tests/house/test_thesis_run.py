@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,8 +12,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from joulebox_server.cli.connection import WrongUseError
-from joulebox_server.thesis import discharge, dv
+from joulebox_server.cli.connection import CommandError, WrongUseError
+from joulebox_server.thesis import discharge, dv, local
 from joulebox_server.thesis.batch import Batch, Plan
 from joulebox_server.thesis.evaluation import write
 from joulebox_server.thesis.following import Follower
@@ -144,6 +145,14 @@ def test_a_server_that_dies_is_a_sentence(root: Path, tmp_path: Path) -> None:
         Exception, match=r"the server ended with exit code -9; the last line of its log .+ run the same"
     ):
         run(tmp_path / "out", root / "scenes", kill_it)
+
+
+def test_a_full_disk_is_a_sentence(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    free = shutil.disk_usage(tmp_path).free
+    monkeypatch.setattr(local, "LEAST_FREE_BYTES", 2 * free)
+    with pytest.raises(CommandError, match=r"MiB are free on the disk of .+; make room, and run the same command"):
+        run(tmp_path / "out", root / "scenes")
+    assert not (tmp_path / "out" / "server").exists()
 
 
 @pytest.mark.parametrize(

@@ -56,7 +56,7 @@ def test_the_report_holds_claims_figures_and_what_to_set(study, tmp_path):
     assert [claim["id"] for claim in claims] == ["ch8-rays", "ch8-photons", "ch8-picture"]
     assert claims[1]["verdict"] == "holds"
     assert claims[1]["basis"] == "measured"
-    assert claims[1]["ours"]["value"] == pytest.approx(0.3)
+    assert claims[1]["ours"]["value"] == pytest.approx(0.3, rel=0.05)  # the noise of one render
     assert claims[1]["ours"]["low"] < 0.3 < claims[1]["ours"]["high"]
     assert written.document()["verdicts"] == {"holds": 3, "fails": 0, "unclear": 0}
     page, markdown = (study.folder / "report.html").read_text(), (tmp_path / "thesis.md").read_text()

@@ -8,12 +8,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
+from urllib.parse import quote
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from joulebox_server.cli.connection import JsonOption, TokenOption, WrongUseError, connect
+from joulebox_server.cli.connection import Connection, JsonOption, TokenOption, WrongUseError, connect
 from joulebox_server.cli.output import print_json
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ def thesis(
     # Here, because what draws charts takes seconds to import and the other commands need none of it.
     from joulebox_server.thesis import catalogue, evaluation
     from joulebox_server.thesis.local import can_meter
-    from joulebox_server.thesis.study import Study
+    from joulebox_server.thesis.study import Study, scene_folder
 
     chosen = catalogue.chosen(batch)
     if device is not None and server is None:
@@ -62,11 +63,16 @@ def thesis(
         why = "a quick run meters nothing" if quick else "the devices of a server have sources of their own"
         raise WrongUseError(f"--source {source}: {why}; leave it out")
     if report_only:
-        study = Study.found(out)
+        asked = None if source == "auto" else source
+        _check_report_only({"device": device, "server": server, "scenes": scenes, "source": asked})
+        study = Study.found(out, quick)
     else:
+        folder = scene_folder(scenes)
+        if server is not None:
+            _check_server(connect(server, token), device)
         study = Study.opened(out, quick, server, device, lambda: server is not None or can_meter(source), source)
         with _ended_by_signals():
-            _run(study, chosen, token, scenes, quiet=as_json)
+            _run(study, chosen, token, folder, quiet=as_json)
     written = evaluation.write(study, chosen, markdown)
     if as_json:
         print_json(written.document())
@@ -74,14 +80,25 @@ def thesis(
         typer.echo(written.summary())
 
 
-def _run(study: "Study", chosen: "list[Batch]", token: str | None, scenes: Path | None, *, quiet: bool) -> None:
+def _check_report_only(given: dict[str, object]) -> None:
+    """Raise WrongUseError for an option that is about rendering."""
+    idle = [name for name, value in given.items() if value is not None]
+    if idle:
+        raise WrongUseError(f"--{idle[0]}: --report-only renders nothing; leave one of the two out")
+
+
+def _check_server(connection: Connection, device: str | None) -> None:
+    """Raise while no folder is bound to them yet: for a server that does not answer, or does not know the device."""
+    path = "/devices" if device is None else f"/devices/{quote(device, safe='')}"
+    connection.request("GET", path)
+
+
+def _run(study: "Study", chosen: "list[Batch]", token: str | None, folder: Path, *, quiet: bool) -> None:
     from joulebox_server.thesis import discharge
     from joulebox_server.thesis.following import Follower
     from joulebox_server.thesis.local import Local, agent_program
     from joulebox_server.thesis.pages import tiles_of
-    from joulebox_server.thesis.study import scene_folder
 
-    folder = scene_folder(scenes)
     with contextlib.ExitStack() as stack:
         show = stack.enter_context(_progress(quiet))
         if study.server is not None:

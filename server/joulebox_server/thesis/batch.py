@@ -83,6 +83,7 @@ class Claim:
     about_energy   the statement says something that a time basis would make true by construction: `unclear` there
     replayed       rests on a replayed discharge, whatever the rest of the run rests on
     explanation    why it does not hold, once examined: the method, the hardware, or a fault of ours
+    undecided      where it stays unclear: why, and what would decide it
     """
 
     id: str
@@ -93,6 +94,7 @@ class Claim:
     about_energy: bool = False
     replayed: bool = False
     explanation: str = ""
+    undecided: str = ""
 
 
 @dataclass(frozen=True)

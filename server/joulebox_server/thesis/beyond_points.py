@@ -53,8 +53,8 @@ def sweeps(plan: Plan) -> list[Sweep]:
     threads = _sweep(plan, "beyond-threads", "cornell-boxes", [{"threads": n} for n in THREADS], {}, repeats)
     thesis = {name: value for name, value in THESIS.items() if name != "preset"}
     return [
-        _sweep(plan, "beyond-gather", "cornell-boxes", gather, GOOD, 8),
-        _sweep(plan, "beyond-importance", "veach-door", importance, GOOD, 10),
+        _sweep(plan, "beyond-gather", "cornell-boxes", gather, GOOD, 6),
+        _sweep(plan, "beyond-importance", "veach-door", importance, GOOD, 8),
         _sweep(plan, "beyond-hints", "caustic-ring", hints, {**GOOD, "indirect": "none"}, 10),
         _sweep(plan, "beyond-path", "cornell-boxes", witness, {**path, "samples_per_pixel": paths}, repeats),
         _sweep(plan, "beyond-combined", "cornell-boxes", singles, ELSEWHERE, repeats, {**thesis, **ELSEWHERE,

@@ -41,7 +41,7 @@ def sweeps(plan: Plan) -> list[Sweep]:
     compared += [{"global_photons": n, "caustic_photons": 10_000} for n in (50_000, 200_000)]
     compared += [{"global_photons": 250_000, "caustic_photons": count} for count in CAUSTIC]
     compared += [{"global_photons": 50_000, "caustic_photons": 10_000, "caustic_hints": True}]
-    return [sweep, again(sweep, 8, compared)]
+    return [sweep, again(sweep, 4, compared)]
 
 
 def line(results: Results, count: int, *, hints: bool = False) -> list[tuple[float, Point]]:

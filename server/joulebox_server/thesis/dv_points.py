@@ -41,7 +41,7 @@ def sweeps(plan: Plan) -> list[Sweep]:
     # ratings look at every step of the boxes, claims at these of the spheres
     photons: list[dict[str, Any]] = [{"global_photons": n} for n in (50_000, 100_000, REFERENCE_PHOTONS, MOST_PHOTONS)]
     ends = [{"gather_distance_m": factor * DISTANCE_M} for factor in (DISTANCES[0], DISTANCES[-1])]
-    return [boxes, spheres, again(boxes, 5), again(spheres, 5, [*photons, *ends])]
+    return [boxes, spheres, again(boxes, 4), again(spheres, 3, [*photons, *ends])]
 
 
 def _sweep(name: str, scene: str, settings: dict[str, Any], changes: Sequence[dict[str, Any]]) -> Sweep:

@@ -19,6 +19,8 @@ START_S = 60.0
 """How long a server may take to start."""
 GRACE_S = 15.0
 """How long a program may take to end when asked to: an agent gives its job back first."""
+LEAST_FREE_BYTES = 128 * 2**20
+"""On the folder's disk: with half of it agents take no job, and a study would wait for them for ever."""
 AGENT = "joulebox-agent"
 SERVE = "from joulebox_server.cli import main; main()"
 
@@ -62,6 +64,7 @@ class Local:
 
     def __enter__(self) -> "Local":
         try:
+            self.check()
             self._end_what_was_left()
             port = self._port.read_text(encoding="ascii") if self._port.is_file() else "0"
             self._start("server", sys.executable, "-c", SERVE, "serve", "--port", port, "--data", str(self.data))
@@ -91,7 +94,13 @@ class Local:
         return self._folder / "server"
 
     def check(self) -> None:
-        """Raise CommandError if one of them has ended."""
+        """Raise CommandError if one of them has ended, or the disk is nearly full."""
+        free = shutil.disk_usage(self._folder).free
+        if free < LEAST_FREE_BYTES:
+            raise CommandError(
+                f"{free / 2**20:.0f} MiB are free on the disk of {self._folder}, a study needs "
+                f"{LEAST_FREE_BYTES >> 20} or more; make room, and run the same command again to go on"
+            )
         for name, log, process in self._running:
             if process.poll() is not None:
                 text = log.read_text(encoding="utf-8", errors="replace")

@@ -36,7 +36,7 @@ def sweeps(plan: Plan) -> list[Sweep]:
             "rule": "list",
             "configurations": [GATHERED],
             "controls": 0,
-            **({"repeats": 4} if plan.quick else {}),
+            **({"repeats": 3} if plan.quick else {}),
             "reference": {"settings": {"indirect": "direct_visualization"}},
         }
     ]

@@ -26,7 +26,7 @@ BASES: dict[str, dict[str, Any]] = {
 }
 SIZES = {"dv": (128, 256, 512), "fg": (64, 128, 256)}
 """Of a quick run, where 512x512 by final gathering is too dear."""
-REPEATS = (4, 4, 2)
+REPEATS = {"dv": (3, 3, 2), "fg": (4, 4, 2)}
 """Of a quick run at these sizes."""
 FULL_SIZES = (128, 256, 512, 1024)
 
@@ -41,7 +41,7 @@ def sweeps(plan: Plan) -> list[Sweep]:
             "rule": "list",
             "configurations": [{NAMES[method]: value} for value in values],
             "controls": 0,
-            **({"repeats": REPEATS[SIZES[method].index(side)]} if plan.quick else {}),
+            **({"repeats": REPEATS[method][SIZES[method].index(side)]} if plan.quick else {}),
             "reference": {"settings": {NAMES[method]: REFERENCE[method]}},
         }
         for method, values in (("dv", PHOTONS), ("fg", TOLERANCES))

@@ -78,7 +78,9 @@ class Study:
                 }
                 _write(folder / STUDY_FILE, json.dumps(known, indent=1) + "\n")
         except OSError as error:
-            raise WrongUseError(f"{error.filename or folder} cannot be used: {error.strerror}") from None
+            raise WrongUseError(
+                f"{error.filename or folder} cannot be used as a study's folder: {error.strerror}; give another with -o"
+            ) from None
         wanted = {"quick": quick, "server": server, "device": device, "source": source}
         for name, value in wanted.items():
             if known[name] != value:
@@ -88,11 +90,13 @@ class Study:
         return cls(folder, **known)
 
     @classmethod
-    def found(cls, folder: Path) -> "Study":
-        """The study that a folder already holds. Raises WrongUseError without one."""
+    def found(cls, folder: Path, quick: bool = False) -> "Study":
+        """The study that a folder already holds. Raises WrongUseError without one, or if `quick` and it is not."""
         known = _known(folder)
         if known is None:
             raise WrongUseError(f"{folder} holds no study; run `joulebox thesis -o {folder}` first")
+        if quick and not known["quick"]:
+            raise WrongUseError(f"the study in {folder} was started without --quick; leave it out")
         return cls(folder, **known)
 
     # --- running -------------------------------------------------------------------------------------------

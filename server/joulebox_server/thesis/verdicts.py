@@ -44,7 +44,7 @@ class Judged:
         if self.finding.verdict == "holds":
             return ""
         if self.finding.verdict == "unclear":
-            return self.finding.why or UNDECIDED
+            return self.finding.why or self.claim.undecided or UNDECIDED
         return self.finding.why or self.claim.explanation
 
 
