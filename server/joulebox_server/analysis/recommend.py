@@ -3,7 +3,8 @@
 A candidate fits when the upper bound of its cost is within the budget and the upper bound of its difference
 within the limit. With a budget, the best picture that fits is chosen (smallest upper bound of the
 difference); without one, the cheapest (smallest upper bound of the cost) that is surely acceptable. Measured
-points come first: predictions answer where no measured point fits or where they are asked for, and are marked.
+points come first: predictions answer where no measured point fits or where they are asked for, and are marked. Among
+them the smallest difference to be expected wins, since bounds of different width would prefer what was measured.
 """
 
 import math
@@ -14,7 +15,7 @@ from joulebox_server.analysis.budgets import Budget
 from joulebox_server.analysis.candidates import Candidate, Known, candidates
 from joulebox_server.analysis.documents import UNITS, Axis, Choice, Recommendation, Tradeoff
 from joulebox_server.analysis.errors import AnalysisError
-from joulebox_server.analysis.intervals import Interval
+from joulebox_server.analysis.intervals import TINY, Interval, log_deviation
 from joulebox_server.analysis.lines import steps_from
 from joulebox_server.analysis.proposals import worth_measuring
 from joulebox_server.analysis.ratings import why_fragile
@@ -110,7 +111,8 @@ def _fitting(terms: Terms, known: Sequence[Candidate], confidence: float) -> lis
     """
     fitting = sorted(filter(terms.fits, known), key=terms.rank)
     if terms.budget is not None:
-        return fitting
+        is_measured = all(candidate.point for candidate in fitting)
+        return fitting if is_measured else sorted(fitting, key=lambda c: _expected(c.difference, confidence))
     tries, best = 1, math.inf
     for candidate in sorted(known, key=terms.rank):
         found = candidate.difference
@@ -121,6 +123,11 @@ def _fitting(terms: Terms, known: Sequence[Candidate], confidence: float) -> lis
             return fitting[fitting.index(candidate) :]
         tries += found.low <= terms.limit
     return fitting
+
+
+def _expected(difference: Interval, confidence: float) -> float:
+    """Log of the mean of what is normal in logs."""
+    return math.log(max(difference.value, TINY)) + log_deviation(difference, confidence) ** 2 / 2
 
 
 def _question(tradeoff: Tradeoff, terms: Terms) -> dict[str, Any]:

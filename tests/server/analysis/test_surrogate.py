@@ -75,7 +75,8 @@ def test_intervals_of_predictions_cover():
     assert np.mean(held) > 0.9
 
 
-def test_pairs_are_learnt_where_there_are_any_and_cost_nothing_where_there_are_none():
+def test_effects_of_settings_together_are_learnt_where_there_are_any():
+    """a_i a_j over a_i is how strong two settings are together beside one alone."""
     codes = np.array([(i, j) for i in range(5) for j in range(5)], np.intp)
     factors = [Factor(np.linspace(0, 1, 5)), Factor(np.linspace(0, 1, 5))]
     x, y = codes.T / 4
@@ -83,7 +84,7 @@ def test_pairs_are_learnt_where_there_are_any_and_cost_nothing_where_there_are_n
     noise = 0.02 * rng.standard_normal(25)
     crossed = Anova(factors, codes, 2 * x + y + 3 * x * y + noise, np.full(25, 0.02**2))
     added = Anova(factors, codes, 2 * x + y + noise, np.full(25, 0.02**2))
-    assert crossed.strengths.pairs > 5 * added.strengths.pairs
+    assert crossed.strengths.effects.min() > 5 * added.strengths.effects.min()
 
 
 def test_words_are_predicted_without_an_order():
