@@ -12,7 +12,6 @@ from pydantic import BaseModel, ConfigDict, model_validator
 from joulebox_server.analysis.errors import AnalysisError
 from joulebox_server.analysis.scatter import Scatter, factor
 
-
 TINY, MIN_DEVIATION = 1e-9, 1e-6
 """Stand for 0 where a logarithm is taken, and where it is divided by."""
 

@@ -1,9 +1,9 @@
 """What is learnt of a quantity from all points together: a regression over settings for each of its parts.
 
-A cost is the sum of what its stages take, and each stage depends on few settings and nearly as a product of powers of
-them: so each is fitted by itself in logs, and the sum is what is told. A difference has one part, and is nearly a sum of
-what each source of noise does once it is raised to a power: so that is fitted. How much intervals of predictions must be
-widened is measured by leaving each point out in turn.
+A cost is the sum of what its stages take, and each stage depends on few settings and nearly as a product of powers
+of them: so each is fitted by itself in logs, and the sum is what is told. A difference has one part, and is nearly a
+sum of what each source of noise does once it is raised to a power: so that is fitted where it explains more than logs
+do. How much intervals of predictions must be widened is measured by leaving each point out in turn.
 """
 
 import math

@@ -73,7 +73,7 @@ class Scatter:
         return math.hypot(alone, self.shared_half_width(sessions, confidence)) * self.level(values)
 
     def level(self, values: Mapping[int, float]) -> float:
-        """The mean of a point's values as all repeats would show it: without the shift of those that it happens to have.
+        """The mean of a point's values as all repeats would show it, without the shift of those that it has.
 
         The plain mean where it has all of them, or ones that nothing is known of.
         """

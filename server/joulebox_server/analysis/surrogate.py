@@ -31,8 +31,8 @@ COST_TAILS, DIFFERENCE_TAILS = 1.0, 1.4
 Differences are no sum of stages: what pairs of settings do not explain is left, and points also served to choose how
 strong each setting's effect is."""
 DIFFERENCE_POWERS = (0.0, 2 / VALUE_EXPONENT)
-"""Of a difference that effects of settings may add up in: logs, or the square of noise. A difference is a sum over pixels
-of how visible the noise there is, to a power; noise from independent sources adds up in its square."""
+"""Of a difference that effects of settings may add up in: logs, or the square of noise. A difference is a sum over
+pixels of how visible the noise there is, to a power; noise from independent sources adds up in its square."""
 MAX_COMBINATIONS = 20_000
 """Of larger grids a sample of this many is looked at."""
 
