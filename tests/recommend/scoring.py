@@ -22,7 +22,7 @@ from joulebox_server.analysis.intervals import Interval
 from joulebox_server.analysis.points import Observation, Subject
 from joulebox_server.analysis.tradeoff import build_tradeoff
 
-from .grids import COST_SEEDS, REPEATS, SEEDS, SIDE, STAGES, Grid, Render, read_renders
+from .grids import COST_SEEDS, REPEATS, SEEDS, SIDE, STAGES, TRUTH_SEEDS, Grid, Render, read_renders
 
 NOISE_SHARE = 0.05
 DRIFT_SHARE = 0.03
@@ -81,7 +81,7 @@ def known(grid: Grid, seeds: str) -> Known:
     """A grid as the renders with a set of seeds show it."""
     found = _by_place(grid)
     repeats = [_of_set(each, SEEDS[seeds]) for each in found]
-    hidden = [[each[s].difference for s in grid.hidden(seeds) if s in each] for each in found]
+    hidden = [[each[s].difference for s in TRUTH_SEEDS[seeds] if s in each] for each in found]
     true = [np.mean(unseen) if unseen else np.nanmean(seen) for unseen, seen in zip(hidden, repeats, strict=True)]
     pixels = [min(each.items())[1].pixels for each in found]
     stages = _stage_costs(grid)

@@ -30,6 +30,7 @@ from .grids import (
     SEEDS,
     SIDE,
     STAGES,
+    TRUTH_SEEDS,
     Grid,
     Render,
     columns,
@@ -131,7 +132,7 @@ def study(grid: Grid) -> None:
             kept.complete(painter, picture, [c for c in grid.configurations if not kept.far_off(c, seed)], seed)
             print(f"[{time.monotonic() - start:5.0f} s] {grid.scene}: seed {seed} done", file=sys.stderr, flush=True)
         near = kept.near_front(name)
-        for seed in grid.hidden(name):
+        for seed in TRUTH_SEEDS[name]:
             kept.complete(painter, picture, near, seed)
         print(f"[{time.monotonic() - start:5.0f} s] {grid.scene}: truth {name} done", file=sys.stderr, flush=True)
     (DATA / f"{grid.scene}.reference.npy").unlink()

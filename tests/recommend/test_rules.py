@@ -11,7 +11,7 @@ from joulebox_server.analysis.recommend import recommend
 from joulebox_server.analysis.tradeoff import build_tradeoff
 
 from recommend import strategies
-from recommend.grids import GRIDS, SEEDS, STAGES, is_complete, read_reference, read_renders
+from recommend.grids import GRIDS, SEEDS, STAGES, TRUTH_SEEDS, is_complete, read_reference, read_renders
 from recommend.proof import Score, budget_question, judge, limit_question, score
 from recommend.scoring import campaign, known, own_stage_logs, same_work
 from recommend.strategies import Question, joulebox, joulebox_confirming, mean_of_three, measured_once, optuna_best
@@ -54,14 +54,14 @@ def test_finished_grids_are_complete(grid, name):
     assert len(grid.configurations) >= 300
     assert {tuple(r.settings.values()) for r in renders} == {tuple(c.values()) for c in grid.configurations}
     seeds = {render.seed for render in renders}
-    assert {*SEEDS[name], *grid.hidden(name)} <= seeds
+    assert {*SEEDS[name], *TRUTH_SEEDS[name]} <= seeds
     held = known(grid, name)
     assert np.isfinite(held.repeats).any(axis=1).all()
     assert read_reference(grid)["limit"] == pytest.approx(grid.limit)
 
 
 def seeds_of(grid, names):
-    return {seed for name in names for seed in (*SEEDS[name], *grid.hidden(name))}
+    return {seed for name in names for seed in (*SEEDS[name], *TRUTH_SEEDS[name])}
 
 
 def test_held_out_scenes_have_no_seeds_to_tune_on():
@@ -76,7 +76,7 @@ def test_held_out_scenes_have_no_seeds_to_tune_on():
 def test_no_seed_serves_twice(grid):
     """Neither both to measure and to judge, nor both to tune and to score; own seeds are no one else's."""
     for name in grid.sets:
-        assert not {*SEEDS[name]} & {*grid.hidden(name)}
+        assert not {*SEEDS[name]} & {*TRUTH_SEEDS[name]}
     scored = seeds_of(grid, grid.scored)
     assert not seeds_of(grid, grid.tuned) & scored
     if all(grid.has_own_seeds(name) for name in grid.scored):

@@ -54,6 +54,48 @@ def test_proposals_are_queued_measured_and_then_answer(sparse: tuple[Server, Any
     assert all(choice["basis"] == "measured" for choice in server.get(path, **asked)["proposals"])
 
 
+def test_with_seeds_of_their_own_what_is_confirmed_gets_new_ones_and_the_answer_changes(server: Server) -> None:
+    """A drawn sweep, each configuration with seeds of its own: none fits surely; measured a few times more, one does.
+
+    Twelve of sixteen combinations are drawn. The limit is 10 % above what the best of them differ by in the mean, but
+    below their bounds: measured again with seeds that nothing else has, bounds come closer to their values.
+    """
+    axes = {"global_photons": [10_000, 30_000, 60_000, 100_000], "gather_count": [50, 100, 200, 400]}
+    film = {"settings": {"width": 16, "height": 16}}  # few pixels, so that seeds differ
+    sweep = server.add_sweep(rule="sobol", samples=12, sample_seed=3, axes=axes, repeats=2, **film)["id"]
+    device = server.device()
+    device.work()
+    server.wait(sweep, "done")
+    path = f"/sweeps/{sweep}/recommendation"
+    points = server.get(f"/sweeps/{sweep}/tradeoff")["points"]
+    best = [p["difference"]["value"] for p in points if p["settings"]["global_photons"] == 100_000]
+    asked = {"budget_j": 13.0, "difference_limit": 1.1 * sum(best) / len(best)}
+    assert server.get(path, **asked)["answer"] == "none"
+    before = seeds_of(server, sweep)
+    queued = []
+    while server.get(path, **asked)["answer"] == "none" and len(queued) < 5:
+        confirm = {"params": asked, "json": {"count": 4}, "headers": server.operator}
+        answer = server.client.post(f"/v1{path}:confirm", **confirm).json()
+        assert answer["queued_jobs"] == 2 * len(answer["proposals"]) > 0
+        assert device.work() == answer["queued_jobs"]
+        server.wait(sweep, "done")
+        queued.append(answer["queued_jobs"])
+    after = seeds_of(server, sweep)
+    assert len(after) == len(set(after)) == len(before) + sum(queued)
+    assert set(before) < set(after)
+    found = server.get(path, **asked)
+    assert (found["answer"], found["basis"]) == ("settings", "measured")
+    assert found["configuration_id"] in {
+        p["configuration_id"] for p in server.get(f"/sweeps/{sweep}/tradeoff")["points"] if p["repeats"] > 2
+    }
+
+
+def seeds_of(server: Server, sweep: str) -> list[int]:
+    """Of every measured repeat."""
+    found = server.get("/results", sweep=sweep, limit=200)["items"]
+    return [row["seed"] for row in found if row["purpose"] == "measure"]
+
+
 def test_confirming_needs_an_operator_and_a_count(sparse: tuple[Server, Any, str]) -> None:
     server, _, sweep = sparse
     path = f"/v1/sweeps/{sweep}/recommendation:confirm"

@@ -57,14 +57,13 @@ def recommend(
     """
     if confidence is not None and confidence != tradeoff.confidence:
         raise AnalysisError(f"the confidence is {confidence}, but the trade-off was built at {tradeoff.confidence}")
+    if not tradeoff.points and not transferred:
+        raise AnalysisError(_nothing_to_judge(tradeoff))
     terms = _terms(tradeoff, Budget(budget_j, budget_s), difference_limit)
     measured, predicted = known or candidates(tradeoff, terms.axis)
     predicted = [*transferred, *predicted]
     if not measured and not predicted:
-        raise AnalysisError(
-            f"no configuration of {tradeoff.scene} on {tradeoff.device} has been both measured "
-            "and compared to the reference yet"
-        )
+        raise AnalysisError(_nothing_to_judge(tradeoff))
     fitting = _fitting(terms, [*measured, *predicted] if predict else measured, tradeoff.confidence)
     if not fitting and not predict:
         fitting = _fitting(terms, predicted, tradeoff.confidence)
@@ -83,6 +82,18 @@ def recommend(
         runner_up=_choice(tradeoff, fitting[1], terms) if len(fitting) > 1 else None,
         proposals=proposed,
         **best.model_dump(exclude={"misses"}),
+    )
+
+
+def _nothing_to_judge(tradeoff: Tradeoff) -> str:
+    if not tradeoff.device:
+        return f"no device works on this sweep of {tradeoff.scene} yet; `joulebox device list` shows those there are"
+    measured = len(tradeoff.points)
+    have = "configuration was" if measured == 1 else "configurations were"
+    so_far = f"; {measured} {have} measured" if measured else ""
+    return (
+        f"no configuration of {tradeoff.scene} on {tradeoff.device} has been both measured "
+        f"and compared to the reference yet{so_far}"
     )
 
 
