@@ -5,8 +5,8 @@ configuration by itself, or the same ones for all. A meter's noise is drawn anew
 for a session: a block of the sweep, in which every configuration is measured once, or, worse, all blocks.
 
 What is true of a cost is the sum of what its stages take; see `_stage_costs`. What is true of a difference is its mean
-over all seeds that it was ever rendered with, but for those that the campaign may measure with. One render in ten of
-boxes with few photons differs by five times as much as the others, so that the mean of sixteen is still off by 25 %.
+over all seeds that it was ever rendered with, but for those that the campaign may measure with. One render in twenty of
+boxes with 5,000 photons differs by more than three times the usual: the mean of sixteen is off by 15 to 25 %.
 """
 
 from __future__ import annotations
