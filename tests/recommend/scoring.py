@@ -5,8 +5,8 @@ configuration by itself, or the same ones for all. A meter's noise is drawn anew
 for a session: a block of the sweep, in which every configuration is measured once, or, worse, all blocks.
 
 What is true of a cost is the sum of what its stages take; see `_stage_costs`. What is true of a difference is its mean
-over all seeds that it was ever rendered with, but for those that the campaign may measure with. One render in twenty of
-boxes with 5,000 photons differs by more than three times the usual: the mean of sixteen is off by 15 to 25 %.
+over seeds that no campaign sees; what is nowhere near the front has none of those, and its mean over the set decides
+nothing. Other sets tell nothing of it where another build of the renderer made their pictures.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from joulebox_server.analysis.intervals import Interval
 from joulebox_server.analysis.points import Observation, Subject
 from joulebox_server.analysis.tradeoff import build_tradeoff
 
-from .grids import COST_SEEDS, REPEATS, SEEDS, SIDE, STAGES, Grid, Render, read_renders
+from .grids import COST_SEEDS, REPEATS, SEEDS, SIDE, STAGES, TRUTH_SEEDS, Grid, Render, read_renders
 
 NOISE_SHARE = 0.05
 DRIFT_SHARE = 0.03
@@ -81,7 +81,7 @@ def known(grid: Grid, seeds: str) -> Known:
     """A grid as the renders with a set of seeds show it."""
     found = _by_place(grid)
     repeats = [_of_set(each, SEEDS[seeds]) for each in found]
-    hidden = [[render.difference for s, render in each.items() if s not in SEEDS[seeds]] for each in found]
+    hidden = [[each[s].difference for s in TRUTH_SEEDS[seeds] if s in each] for each in found]
     true = [np.mean(unseen) if unseen else np.nanmean(seen) for unseen, seen in zip(hidden, repeats, strict=True)]
     pixels = [min(each.items())[1].pixels for each in found]
     stages = _stage_costs(grid)

@@ -175,6 +175,17 @@ def test_differences_are_learnt_as_sums_of_noise():
     assert ours < in_logs / 3
 
 
+@pytest.mark.parametrize("unit", [1e-4, 1.0, 1e4])
+def test_the_law_that_explains_more_is_taken_in_any_unit(unit):
+    shown, _ = split(24)
+    for law, power in ((difference, 0.0), (noisy_picture, 2 / 3.5)):
+        told = [interval(unit * law(*row), 0.02 * unit * law(*row)) for row in shown]
+        factors = [Factor(np.linspace(0, 1, len(values))) for values in AXES]
+        parts, repeats = np.ones((1, 24)), np.ones(24)
+        fit = Regression(factors, codes_of(shown), told, parts, repeats, 0.0, 0.95, 1.0, DIFFERENCE_POWERS)
+        assert [model._power for model in fit._models] == [power]
+
+
 def noisy_picture(rays, photons, spp):
     return (40 / rays + 3000 / photons + 2 / spp) ** (3.5 / 2)
 
