@@ -23,7 +23,7 @@ from joulebox_server.analysis.surrogate import Surrogate
 
 from tests.bench.table import Row, goals, markdown_table
 
-from .grids import GRIDS, SEEDS, is_complete, read_reference
+from .grids import GRIDS, SEEDS, Grid, is_complete, read_reference
 from .proof import PER_CAMPAIGN, QUESTIONS, Score, budget_question, campaigns, judge, limit_question, score
 from .scoring import Known, campaign, known
 from .strategies import (
@@ -152,21 +152,24 @@ def savings(scenes: Sequence[Known]) -> list[Row]:
     return rows
 
 
+def _is_asked(grid: Grid, name: str, tuning: str | None) -> bool:
+    return name in grid.scored if tuning is None else name == tuning and name in grid.tuned
+
+
 def main() -> int:
     """Score and print."""
     parser = argparse.ArgumentParser(prog="test-recommend", description=__doc__.splitlines()[0])
     parser.add_argument("--questions", type=int, default=QUESTIONS, help=f"to each strategy (default {QUESTIONS})")
     parser.add_argument("--scene", nargs="+", choices=GRIDS, default=list(GRIDS), help="all unless named")
     parser.add_argument(
-        "--tuning", choices=SEEDS, metavar="SET", help="score seeds that served to choose rules: A or C"
+        "--tuning", choices=SEEDS, metavar="SET", help="score seeds that served to choose rules: A, C or D"
     )
     given = parser.parse_args()
     if given.questions < PER_CAMPAIGN:
         parser.error(f"--questions must be at least {PER_CAMPAIGN}")
     start = time.monotonic()
-    sets = [(grid, given.tuning or grid.scored) for grid in (GRIDS[name] for name in given.scene)]
-    if given.tuning:
-        sets = [(grid, name) for grid, name in sets if name in grid.tuned]
+    grids = [GRIDS[name] for name in given.scene]
+    sets = [(grid, name) for grid in grids for name in grid.sets if _is_asked(grid, name, given.tuning)]
     scenes = [known(grid, name) for grid, name in sets if is_complete(grid, name)]
     missing = [grid.scene for grid, name in sets if not is_complete(grid, name)]
     parts = [partial(complete_grids, scenes, given.questions), partial(sparse_grids, scenes, given.questions)]

@@ -7,7 +7,10 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
+from joulebox_server.schemas.sweep import SweepDefinition
+from joulebox_server.sweeps.drawing import drawn
 
+from .grids import Grid
 from .scoring import Campaign, Known, campaign
 from .strategies import Question
 
@@ -48,7 +51,7 @@ class Score:
 def campaigns(
     known: Known, seed: int, count: int, share: float = 1.0, one_session: bool = False
 ) -> Iterator[tuple[Campaign, np.random.Generator]]:
-    """Campaigns that measure the whole grid or a random share of it, each with a generator for its questions."""
+    """Campaigns that measure the whole grid or a share of it, each with a generator for its questions."""
     for number in range(count):
         yield _campaign(known, seed, number, share, one_session), np.random.default_rng([seed, number, 1])
 
@@ -57,8 +60,16 @@ def campaigns(
 def _campaign(known: Known, seed: int, number: int, share: float, one_session: bool) -> Campaign:
     """The same one for every kind of question, as what is learnt from it takes longest."""
     rng = np.random.default_rng([seed, number, 0])
-    places = None if share == 1 else rng.choice(len(known.cost), round(share * len(known.cost)), replace=False)
+    places = None if share == 1 else _drawn(known.grid, round(share * len(known.cost)), seed=seed + number)
     return campaign(known, rng, places, one_session)
+
+
+def _drawn(grid: Grid, count: int, seed: int) -> list[int]:
+    """Places of the configurations that a sweep of so many samples draws from the axes by `rule = "sobol"`."""
+    axes = {name: list(values) for name, values in grid.axes.items()}
+    scenes = {"name": "study", "scenes": [grid.scene], "axes": axes}
+    sweep = SweepDefinition.model_validate({**scenes, "rule": "sobol", "samples": count, "sample_seed": seed})
+    return [grid.configurations.index(settings) for settings in drawn(sweep)]
 
 
 def budget_question(known: Known, rng: np.random.Generator) -> Question:

@@ -6,7 +6,7 @@ for a session: a block of the sweep, in which every configuration is measured on
 
 What is true of a cost is the sum of what its stages take; see `_stage_costs`. What is true of a difference is its mean
 over seeds that no campaign sees; what is nowhere near the front has none of those, and its mean over the set decides
-nothing.
+nothing. Other sets tell nothing of it where another build of the renderer made their pictures.
 """
 
 from __future__ import annotations

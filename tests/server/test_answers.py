@@ -3,7 +3,7 @@
 from typing import Any
 
 import pytest
-from fake_device import measure_document, picture, resolved
+from fake_device import interval, measure_document, picture, resolved
 from joulebox_server.analysis import difference as metric
 from joulebox_server.store import differences
 from server_testing import Server
@@ -52,6 +52,61 @@ def test_proposals_are_queued_measured_and_then_answer(sparse: tuple[Server, Any
         assert point["repeats"] == (2 if choice["basis"] == "predicted" else 4)
         assert point["difference"] is not None
     assert all(choice["basis"] == "measured" for choice in server.get(path, **asked)["proposals"])
+
+
+def test_with_seeds_of_their_own_what_is_confirmed_gets_new_ones_and_then_answers(server: Server) -> None:
+    """Fifteen of sixteen combinations, each with seeds of its own; the one left out is the best for the budget."""
+    every = [{"global_photons": p, "gather_count": c} for p in AXES["global_photons"] for c in (50, 100, 200, 400)]
+    best = {"global_photons": 100_000, "gather_count": 50}
+    sweep = server.add_sweep(rule="list", axes={}, seeds="own", configurations=[c for c in every if c != best])["id"]
+    device = server.device()
+    work_dearer(device)
+    server.wait(sweep, "done")
+    path = f"/sweeps/{sweep}/recommendation"
+    asked = {"budget_j": 1.1 * energy_of(best)}
+    before, known = server.get(path, **asked), seeds_of(server, sweep)
+    assert before["settings"]["global_photons"] < 100_000
+    confirm = {"params": asked, "json": {"count": 1}, "headers": server.operator}
+    queued = server.client.post(f"/v1{path}:confirm", **confirm).json()
+    assert [choice["configuration_id"] for choice in queued["proposals"]] == [None]  # it was never run
+    assert queued["queued_jobs"] == 2
+    assert server.get(path, **asked)["configuration_id"] == before["configuration_id"]  # nothing was measured yet
+    assert work_dearer(device) == 2
+    server.wait(sweep, "done")
+    found, seeds = server.get(path, **asked), seeds_of(server, sweep)
+    assert {name: found["settings"][name] for name in best} == best
+    assert (found["answer"], found["basis"]) == ("settings", "measured")
+    assert found["difference"]["high"] < before["difference"]["high"]
+    assert len(seeds) == len(set(seeds)) == len(known) + 2
+    assert set(known) < set(seeds)
+
+
+def energy_of(settings: dict[str, Any]) -> float:
+    """Joules of a device to which gathering matters."""
+    return (1 + settings["global_photons"] / 10_000) * (settings["gather_count"] / 100) ** 0.5
+
+
+def work_dearer(device: Any) -> int:
+    """Do every job there is at that energy; returns how many."""
+    count = 0
+    while leases := device.lease():
+        energy_j = energy_of(resolved(leases[0]["settings"]))
+        document = measure_document(leases[0])
+        energy = interval(energy_j) if document["energy_j_per_image"]["gross"] else None
+        stages = {
+            name: stage | {"energy_j": {"equation_2": share * energy_j, "integrated": None, "regressed": None}}
+            for share, (name, stage) in zip((0.3, 0.2, 0.5), document["stages"].items(), strict=True)
+        }
+        told = {"energy_j_per_image": {"gross": energy, "net": None, "counter": energy}, "stages": stages}
+        assert device.finish(leases[0], **told).status_code == 201
+        count += 1
+    return count
+
+
+def seeds_of(server: Server, sweep: str) -> list[int]:
+    """Of every measured repeat."""
+    found = server.get("/results", sweep=sweep, limit=200)["items"]
+    return [row["seed"] for row in found if row["purpose"] == "measure"]
 
 
 def test_confirming_needs_an_operator_and_a_count(sparse: tuple[Server, Any, str]) -> None:

@@ -1,13 +1,13 @@
-"""Regression over settings: main effects of each setting, and of pairs where the data supports them.
+"""Regression over settings: effects of each setting, and of settings together where the data supports them.
 
-A Gaussian process whose covariance is a sum over settings and pairs of settings,
+A Gaussian process whose covariance is a product over settings,
 
-    k(x, x') = s0^2 + sum_i a_i^2 c_i(x, x') + b^2 sum_i<j a_i a_j c_i(x, x') c_j(x, x'),
+    k(x, x') = s0^2 + s^2 prod_i (1 + a_i c_i(x, x')),
 
-c_i being 1 for equal values and falling with the distance of numbers (of words: 0). Each setting has its own
-strength a_i, and b that of the pairs; both follow from the data by maximum marginal likelihood, so that pairs
-count for nothing where they explain nothing. Source: Rasmussen & Williams 2006, chapters 2 and 5; additive
-kernels: Duvenaud et al. 2011.
+c_i being 1 for equal values and falling with the distance of numbers (of words: 0). Multiplied out, it is a sum over
+every set of settings: a_i is how strong setting i is, and a_i a_j how strong i and j are together, beyond each alone.
+With small a and large s the effects add up; whether they do follows from the data by maximum marginal likelihood.
+Source: Rasmussen & Williams 2006, chapters 2 and 5; the kernel: Stitson et al. 1999, Duvenaud et al. 2011.
 """
 
 from dataclasses import dataclass
@@ -42,10 +42,10 @@ class Factor:
 
 @dataclass(frozen=True)
 class Strengths:
-    """What the likelihood chose: see the module."""
+    """What the likelihood chose: see the module; `reach` is how far values are alike, as a share of their range."""
 
-    mains: Array
-    pairs: float
+    effects: Array
+    scale: float
     reach: float
     noise: float
 
@@ -88,6 +88,12 @@ class Anova:
         self._factor = cho_factor(covariance + np.diag(self._noise + self.strengths.noise**2 + _JITTER), lower=True)
         self._weights = cho_solve(self._factor, self._target)
 
+    @property
+    def log_likelihood(self) -> float:
+        """Of the target, up to a constant."""
+        spread = float(np.log(np.diag(self._factor[0])).sum())
+        return -0.5 * float(self._target @ self._weights) - spread - len(self._target) * float(np.log(self._scale))
+
     def predict(self, codes: NDArray[np.intp]) -> Prediction:
         """At configurations that may never have been measured."""
         across = self._covariance(codes, self._codes, self.strengths)
@@ -113,7 +119,7 @@ class Anova:
     def _fitted(self) -> Strengths:
         count = len(self._factors)
         start = np.concatenate([np.full(count, np.log(0.7)), np.log([0.3, 0.7, 0.1])])
-        bounds = [(_TIGHT, _WIDE)] * count + [(_TIGHT, np.log(3.0)), (np.log(0.2), np.log(3.0)), (_TIGHT, 0.0)]
+        bounds = [(_TIGHT, _WIDE)] * (count + 1) + [(np.log(0.2), np.log(3.0)), (_TIGHT, 0.0)]
         rows = np.random.default_rng(0).permutation(len(self._target))[:_ENOUGH]  # more would only take longer
         distances = self._distances(self._codes[rows], self._codes[rows])
         data = (distances, self._target[rows], self._noise[rows])
@@ -148,33 +154,32 @@ class Anova:
 def _parts(distances: list[Array], strengths: Strengths) -> list[Array]:
     """a_i c_i of every setting."""
     reach = -0.5 / strengths.reach**2
-    return [a * np.exp(reach * distance) for a, distance in zip(strengths.mains, distances, strict=True)]
+    return [a * np.exp(reach * distance) for a, distance in zip(strengths.effects, distances, strict=True)]
 
 
 def _total(parts: list[Array], strengths: Strengths) -> Array:
-    """The covariance; the sum over pairs is half of the square of the sum less the sum of the squares."""
-    sums = np.sum(parts, axis=0)
-    squares = np.sum([part * part for part in parts], axis=0)
-    total = _OFFSET_VARIANCE + 0.5 * strengths.pairs**2 * (sums * sums - squares)
-    for a, part in zip(strengths.mains, parts, strict=True):
-        total += a * part
-    return np.asarray(total)
+    """The covariance."""
+    return np.asarray(_OFFSET_VARIANCE + _product(parts, strengths))
+
+
+def _product(parts: list[Array], strengths: Strengths) -> Array:
+    """The covariance without its offset."""
+    product = np.full_like(parts[0], strengths.scale**2)
+    for part in parts:
+        product *= 1 + part
+    return product
 
 
 def _slopes(parts: list[Array], distances: list[Array], strengths: Strengths) -> list[Array]:
-    """Derivatives of the covariance by the logs of the mains, of the pairs and of the reach."""
-    sums, pairs = np.sum(parts, axis=0), strengths.pairs**2
-    by_main = [2 * a * part + pairs * part * (sums - part) for a, part in zip(strengths.mains, parts, strict=True)]
-    by_pairs = pairs * (sums * sums - np.sum([part * part for part in parts], axis=0))
-    by_reach = np.zeros_like(sums)
-    for a, part, distance in zip(strengths.mains, parts, distances, strict=True):
-        scaled = np.where(np.isfinite(distance), distance, 0.0) / strengths.reach**2
-        by_reach += part * scaled * (a + pairs * (sums - part))
-    return [*by_main, by_pairs, by_reach]
+    """Derivatives of the covariance by the logs of the effects, of the scale and of the reach."""
+    product = _product(parts, strengths)
+    by_effect = [product * part / (1 + part) for part in parts]
+    by_reach = np.zeros_like(product)
+    for slope, distance in zip(by_effect, distances, strict=True):
+        by_reach += slope * np.where(np.isfinite(distance), distance, 0.0) / strengths.reach**2
+    return [*by_effect, 2 * product, by_reach]
 
 
 def _variance(strengths: Strengths) -> float:
     """The covariance of a configuration with itself, before anything is measured."""
-    mains = strengths.mains
-    pairs = 0.5 * (float(np.sum(mains)) ** 2 - float(np.sum(mains**2)))
-    return _OFFSET_VARIANCE + float(np.sum(mains**2)) + strengths.pairs**2 * pairs
+    return _OFFSET_VARIANCE + strengths.scale**2 * float(np.prod(1 + strengths.effects))

@@ -34,7 +34,7 @@ _MASKING = 2.8
 _CEILING_JND = 20.0
 _FLOOR_JND = 1e-3
 _VALUE_SCALE = 2.0e-5
-_VALUE_EXPONENT = np.float32(3.5)
+VALUE_EXPONENT = 3.5
 
 _RANGES = {
     "exposure": (1e-6, 1e6, ""),
@@ -137,7 +137,7 @@ def compare(reference: NDArray[np.floating], test: NDArray[np.floating], display
     check_pair(reference, test)
     jnd = _jnd_map(reference, test, display)
     height, width = jnd.shape
-    value = _VALUE_SCALE * float((jnd**_VALUE_EXPONENT).sum(dtype=np.float64))
+    value = _VALUE_SCALE * float((jnd ** np.float32(VALUE_EXPONENT)).sum(dtype=np.float64))
     limit = acceptable_limit(width, height)
     return Difference(
         value=value,

@@ -12,6 +12,9 @@ from pydantic import BaseModel, ConfigDict, model_validator
 from joulebox_server.analysis.errors import AnalysisError
 from joulebox_server.analysis.scatter import Scatter, factor
 
+TINY, MIN_DEVIATION = 1e-9, 1e-6
+"""Stand for 0 where a logarithm is taken, and where it is divided by."""
+
 
 class Interval(BaseModel):
     """A value and the bounds of its confidence interval, all in one unit; low <= value <= high."""
@@ -36,6 +39,17 @@ class Interval(BaseModel):
 def exactly(value: float) -> Interval:
     """An interval without width: the value is exact, or nothing is known of its scatter."""
     return Interval(value=value, low=value, high=value)
+
+
+def log_deviation(bounded: Interval, confidence: float) -> float:
+    """Standard deviation of the log of what is normal in logs and below `high` with the confidence.
+
+    At even odds `high` is the value itself and tells nothing of it: then it is as if there were none.
+    """
+    reach = factor(2 * confidence - 1, math.inf)
+    if not reach:
+        return MIN_DEVIATION
+    return max((math.log(max(bounded.high, TINY)) - math.log(max(bounded.value, TINY))) / reach, MIN_DEVIATION)
 
 
 def t_factor(confidence: float, count: int) -> float:
@@ -78,12 +92,19 @@ def over_repeats(
     ]
     within = math.sqrt(sum(h * h for h in restated)) / count
     values = {repeat: interval.value for repeat, interval in repeats.items()}
-    return _about(math.fsum(values.values()) / count, max(_between(values, confidence, scatter), within))
+    return _about(_level(values, scatter), max(_between(values, confidence, scatter), within))
 
 
 def over_values(values: Mapping[int, float], confidence: float, scatter: Scatter | None = None) -> Interval:
     """Student t interval of the mean of values by repeat; without width where nothing is known of their scatter."""
-    return _about(math.fsum(values.values()) / len(values), _between(values, confidence, scatter))
+    return _about(_level(values, scatter), _between(values, confidence, scatter))
+
+
+def _level(values: Mapping[int, float], scatter: Scatter | None) -> float:
+    """The mean; of a point that lacks repeats which others have, as all repeats would show it."""
+    if scatter is not None and min(values.values()) > 0:
+        return scatter.level(values)
+    return math.fsum(values.values()) / len(values)
 
 
 def _between(values: Mapping[int, float], confidence: float, scatter: Scatter | None) -> float:

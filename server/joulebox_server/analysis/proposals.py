@@ -11,13 +11,11 @@ from collections.abc import Sequence
 from statistics import NormalDist, median
 
 from joulebox_server.analysis.candidates import Candidate
-from joulebox_server.analysis.intervals import Interval
-from joulebox_server.analysis.scatter import factor
+from joulebox_server.analysis.intervals import TINY, log_deviation
 from joulebox_server.analysis.terms import Terms
 
 MIN_GAIN = 0.005
 """Smaller improvements to be expected, as a share of what is sought, are not worth a run."""
-_TINY = 1e-9
 _NORMAL = NormalDist()
 
 
@@ -29,11 +27,10 @@ def worth_measuring(
     chosen      the present answer; None where nothing fits, when whatever would fit is an improvement
     confidence  of each candidate's upper bounds
     """
-    reach = factor(2 * confidence - 1, math.inf)
     margins = _margins(known)
     level = _level(terms, chosen, known, margins)
     gains = [
-        (_gain(terms, candidate, level, margins, reach), candidate)
+        (_gain(terms, candidate, level, margins, confidence), candidate)
         for candidate in known
         if candidate is not chosen and (candidate.point is None or not terms.fits(candidate))
     ]
@@ -60,7 +57,7 @@ def _level(terms: Terms, chosen: Candidate | None, known: Sequence[Candidate], m
     return _log(terms.limit) - margins[1]
 
 
-def _gain(terms: Terms, candidate: Candidate, level: float, margins: tuple[float, float], reach: float) -> float:
+def _gain(terms: Terms, candidate: Candidate, level: float, margins: tuple[float, float], confidence: float) -> float:
     """The mean of what it would be better by, in logs, over the chance that it would fit."""
     cost_margin, difference_margin = margins
     if terms.budget is None:
@@ -69,16 +66,11 @@ def _gain(terms: Terms, candidate: Candidate, level: float, margins: tuple[float
         allowed = _log(terms.budget) - cost_margin
         level = min(level, _log(terms.limit) - difference_margin)
     held, sought = terms.held(candidate), terms.sought(candidate)
-    chance = _NORMAL.cdf((allowed - _log(held.value)) / _deviation(held, reach))
-    deviation = _deviation(sought, reach)
+    chance = _NORMAL.cdf((allowed - _log(held.value)) / log_deviation(held, confidence))
+    deviation = log_deviation(sought, confidence)
     ahead = (level - _log(sought.value)) / deviation
     return chance * deviation * (ahead * _NORMAL.cdf(ahead) + _NORMAL.pdf(ahead))
 
 
-def _deviation(interval: Interval, reach: float) -> float:
-    """Standard deviation of a logarithm whose bound is `reach` of them above its value."""
-    return max((_log(interval.high) - _log(interval.value)) / reach, 1e-6)
-
-
 def _log(value: float) -> float:
-    return math.log(max(value, _TINY))
+    return math.log(max(value, TINY))

@@ -3,7 +3,8 @@
 A candidate fits when the upper bound of its cost is within the budget and the upper bound of its difference
 within the limit. With a budget, the best picture that fits is chosen (smallest upper bound of the
 difference); without one, the cheapest (smallest upper bound of the cost) that is surely acceptable. Measured
-points come first: predictions answer where no measured point fits or where they are asked for, and are marked.
+points come first: predictions answer where no measured point fits or where they are asked for, and are marked. Among
+them the smallest difference to be expected wins, since bounds of different width would prefer what was measured.
 """
 
 import math
@@ -14,7 +15,7 @@ from joulebox_server.analysis.budgets import Budget
 from joulebox_server.analysis.candidates import Candidate, Known, candidates
 from joulebox_server.analysis.documents import UNITS, Axis, Choice, Recommendation, Tradeoff
 from joulebox_server.analysis.errors import AnalysisError
-from joulebox_server.analysis.intervals import Interval
+from joulebox_server.analysis.intervals import TINY, Interval, log_deviation
 from joulebox_server.analysis.lines import steps_from
 from joulebox_server.analysis.proposals import worth_measuring
 from joulebox_server.analysis.ratings import why_fragile
@@ -56,14 +57,13 @@ def recommend(
     """
     if confidence is not None and confidence != tradeoff.confidence:
         raise AnalysisError(f"the confidence is {confidence}, but the trade-off was built at {tradeoff.confidence}")
+    if not tradeoff.points and not transferred:
+        raise AnalysisError(_nothing_to_judge(tradeoff))
     terms = _terms(tradeoff, Budget(budget_j, budget_s), difference_limit)
     measured, predicted = known or candidates(tradeoff, terms.axis)
     predicted = [*transferred, *predicted]
     if not measured and not predicted:
-        raise AnalysisError(
-            f"no configuration of {tradeoff.scene} on {tradeoff.device} has been both measured "
-            "and compared to the reference yet"
-        )
+        raise AnalysisError(_nothing_to_judge(tradeoff))
     fitting = _fitting(terms, [*measured, *predicted] if predict else measured, tradeoff.confidence)
     if not fitting and not predict:
         fitting = _fitting(terms, predicted, tradeoff.confidence)
@@ -82,6 +82,18 @@ def recommend(
         runner_up=_choice(tradeoff, fitting[1], terms) if len(fitting) > 1 else None,
         proposals=proposed,
         **best.model_dump(exclude={"misses"}),
+    )
+
+
+def _nothing_to_judge(tradeoff: Tradeoff) -> str:
+    if not tradeoff.device:
+        return f"no device works on this sweep of {tradeoff.scene} yet; `joulebox device list` shows those there are"
+    measured = len(tradeoff.points)
+    have = "configuration was" if measured == 1 else "configurations were"
+    so_far = f"; {measured} {have} measured" if measured else ""
+    return (
+        f"no configuration of {tradeoff.scene} on {tradeoff.device} has been both measured "
+        f"and compared to the reference yet{so_far}"
     )
 
 
@@ -110,7 +122,8 @@ def _fitting(terms: Terms, known: Sequence[Candidate], confidence: float) -> lis
     """
     fitting = sorted(filter(terms.fits, known), key=terms.rank)
     if terms.budget is not None:
-        return fitting
+        is_measured = all(candidate.point for candidate in fitting)
+        return fitting if is_measured else sorted(fitting, key=lambda c: _expected(c.difference, confidence))
     tries, best = 1, math.inf
     for candidate in sorted(known, key=terms.rank):
         found = candidate.difference
@@ -121,6 +134,11 @@ def _fitting(terms: Terms, known: Sequence[Candidate], confidence: float) -> lis
             return fitting[fitting.index(candidate) :]
         tries += found.low <= terms.limit
     return fitting
+
+
+def _expected(difference: Interval, confidence: float) -> float:
+    """Log of the mean of what is normal in logs."""
+    return math.log(max(difference.value, TINY)) + log_deviation(difference, confidence) ** 2 / 2
 
 
 def _question(tradeoff: Tradeoff, terms: Terms) -> dict[str, Any]:

@@ -1,8 +1,9 @@
 """What is learnt of a quantity from all points together: a regression over settings for each of its parts.
 
-A cost is the sum of what its stages take, and each stage depends on few settings and nearly as a product of powers of
-them: so each is fitted by itself in logs, and the sum is what is told. A difference has one part. How much intervals
-of predictions must be widened is measured by leaving each point out in turn.
+A cost is the sum of what its stages take, and each stage depends on few settings and nearly as a product of powers
+of them: so each is fitted by itself in logs, and the sum is what is told. A difference has one part, and is nearly a
+sum of what each source of noise does once it is raised to a power: so that is fitted where it explains more than logs
+do. How much intervals of predictions must be widened is measured by leaving each point out in turn.
 """
 
 import math
@@ -32,6 +33,7 @@ class Regression:
     repeats     (n,) behind each value
     shared      half-width that all points have in common, as a share: no comparison of points tells anything of it
     tails       by what factor errors are larger than the regression thinks
+    powers      of the parts that settings' effects may add up in, 0 for logs; the likeliest one is taken
     """
 
     def __init__(
@@ -44,6 +46,7 @@ class Regression:
         shared: float,
         confidence: float,
         tails: float,
+        powers: Sequence[float] = (0.0,),
     ) -> None:
         self._shared, self._normal, self._tails = shared, factor(confidence, math.inf), tails
         values = np.array([max(each.value, _TINY) for each in measured])
@@ -51,7 +54,8 @@ class Regression:
         self._variance = np.maximum(half**2 - shared**2, 0.0) / self._normal**2
         self._variance = _smooth(factors, codes, self._variance, repeats)
         self._logs = np.log(values)
-        self._models = [_fitted(factors, codes, values * part, self._variance) for part in parts / parts.sum(axis=0)]
+        shares = parts / parts.sum(axis=0)
+        self._models = [_Fit(factors, codes, values * share, self._variance, powers) for share in shares]
         self._widened = self._honest(confidence)
 
     def _honest(self, confidence: float) -> float:
@@ -95,17 +99,59 @@ def _smooth(factors: list[Factor], codes: NDArray[np.intp], variance: Array, rep
     return np.asarray(np.exp(told.mean + level) / repeats)
 
 
-def _fitted(factors: list[Factor], codes: NDArray[np.intp], values: Array, variance: Array) -> Anova:
-    """A fit of the logs of what the values are in the mean, which are more than the mean of their logs.
+class _Fit:
+    """Effects of settings on (v^p - 1) / p, or on log v where p is 0 (Box & Cox 1964); it tells of logs of v.
 
-    Iterated least squares of a generalised linear model with constant relative variance and a log link: see McCullagh
-    & Nelder 1989, section 2.5.
+    What is fitted are means, and a power of a mean is not the mean of powers. Iterated least squares of a generalised
+    linear model with constant relative variance: see McCullagh & Nelder 1989, section 2.5.
     """
-    model = Anova(factors, codes, np.log(values), variance)
-    for _ in range(TURNS):
-        told = model.steadied().mean
-        model = Anova(factors, codes, told + values / np.exp(told) - 1, variance, model.strengths)
-    return model
+
+    def __init__(
+        self,
+        factors: list[Factor],
+        codes: NDArray[np.intp],
+        values: Array,
+        variance: Array,
+        powers: Sequence[float],
+    ) -> None:
+        """Fit to values (n,) > 0 with relative variances (n,)."""
+        logs = np.log(values)
+        fits = [
+            (power, Anova(factors, codes, _powered(logs, power), _square(logs, power, variance))) for power in powers
+        ]
+        self._power, self._model = max(fits, key=lambda fit: fit[1].log_likelihood + (fit[0] - 1) * float(logs.sum()))
+        for _ in range(TURNS):
+            told = self._model.steadied()
+            logs = self._in_logs(told).mean
+            target = told.mean + (values - np.exp(logs)) * np.exp((self._power - 1) * logs)
+            self._model = Anova(factors, codes, target, _square(logs, self._power, variance), self._model.strengths)
+
+    def predict(self, codes: NDArray[np.intp]) -> Prediction:
+        """See `Anova`, as the next two."""
+        return self._in_logs(self._model.predict(codes))
+
+    def steadied(self) -> Prediction:
+        return self._in_logs(self._model.steadied())
+
+    def left_out(self) -> Prediction:
+        return self._in_logs(self._model.left_out())
+
+    def _in_logs(self, told: Prediction) -> Prediction:
+        """To first order; what may well be below 0 is taken to be as large as it is uncertain."""
+        if not self._power:
+            return told
+        powered = np.maximum(1 + self._power * told.mean, self._power * told.sd)
+        return Prediction(np.log(powered) / self._power, told.sd / powered)
+
+
+def _powered(logs: Array, power: float) -> Array:
+    """(v^p - 1) / p of v given by its log."""
+    return np.expm1(power * logs) / power if power else logs
+
+
+def _square(logs: Array, power: float, variance: Array) -> Array:
+    """Variances of a power from relative ones."""
+    return np.asarray(np.exp(2 * power * logs) * variance)
 
 
 def _sum(parts: Sequence[Prediction]) -> Prediction:

@@ -26,6 +26,8 @@ from scipy.stats import t as student_t
 
 MIN_POINTS = 5
 """Fewer repeated points say too little about what is common."""
+EVEN_ODDS = 0.5
+"""The least confidence."""
 MAX_FREEDOM = 1e4
 """Stands for "all alike"."""
 SWEEPS = 20
@@ -67,7 +69,16 @@ class Scatter:
         freedom = self.own_freedom + count - 1
         own = (self.own_freedom * self.own + (count - 1) * seen) / freedom
         alone = factor(confidence, freedom) * math.sqrt(own / count)
-        return math.hypot(alone, self.shared_half_width(count, confidence)) * math.fsum(values.values()) / count
+        sessions = len(self.shifts) if values.keys() <= self.shifts.keys() else count
+        return math.hypot(alone, self.shared_half_width(sessions, confidence)) * self.level(values)
+
+    def level(self, values: Mapping[int, float]) -> float:
+        """The mean of a point's values as all repeats would show it, without the shift of those that it has.
+
+        The plain mean where it has all of them, or ones that nothing is known of.
+        """
+        shift = math.fsum(self.shifts.get(repeat, 0.0) for repeat in values) / len(values)
+        return math.fsum(values.values()) / len(values) * math.exp(-shift)
 
     def shared_half_width(self, count: int, confidence: float) -> float:
         """By what share the means of so many repeats may be off, those of all points together."""
@@ -80,7 +91,12 @@ def one_sided(confidence: float) -> float:
 
 
 def stretch(confidence: float, tries: int) -> float:
-    """What a one-sided bound is to be multiplied by to hold for all of so many tries, normal errors given."""
+    """What a one-sided bound is to be multiplied by to hold for all of so many tries, normal errors given.
+
+    At even odds the bound is the value itself, of which there is nothing to multiply.
+    """
+    if confidence == EVEN_ODDS:
+        return 1.0
     return factor(1 - 2 * (1 - confidence) / tries, math.inf) / factor(2 * confidence - 1, math.inf)
 
 

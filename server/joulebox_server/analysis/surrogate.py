@@ -1,7 +1,7 @@
 """Predictions for combinations of settings that were never run, from those that were.
 
-The logs of what each stage takes and of the difference are each a sum over settings, with terms for pairs where the
-data supports them; see `regression` and `anova`.
+The logs of what each stage takes, and a power of the difference, are each a sum over settings, with terms for settings
+together where the data supports them; see `regression` and `anova`.
 """
 
 import math
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulebox_server.analysis.anova import Factor
+from joulebox_server.analysis.difference import VALUE_EXPONENT
 from joulebox_server.analysis.documents import Axis, Point, Tradeoff
 from joulebox_server.analysis.intervals import Interval
 from joulebox_server.analysis.lines import is_number, varied
@@ -29,6 +30,9 @@ COST_TAILS, DIFFERENCE_TAILS = 1.0, 1.4
 
 Differences are no sum of stages: what pairs of settings do not explain is left, and points also served to choose how
 strong each setting's effect is."""
+DIFFERENCE_POWERS = (0.0, 2 / VALUE_EXPONENT)
+"""Of a difference that effects of settings may add up in: logs, or the square of noise. A difference is a sum over
+pixels of how visible the noise there is, to a power; noise from independent sources adds up in its square."""
 MAX_COMBINATIONS = 20_000
 """Of larger grids a sample of this many is looked at."""
 
@@ -66,7 +70,15 @@ class Surrogate:
         return (
             Regression(factors, codes, costs, stages, repeats, shared.of(self._axis), confidence, COST_TAILS),
             Regression(
-                factors, codes, differences, whole, repeats, shared.difference_share, confidence, DIFFERENCE_TAILS
+                factors,
+                codes,
+                differences,
+                whole,
+                repeats,
+                shared.difference_share,
+                confidence,
+                DIFFERENCE_TAILS,
+                DIFFERENCE_POWERS,
             ),
         )
 

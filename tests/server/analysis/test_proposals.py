@@ -30,7 +30,7 @@ def test_gain_is_the_mean_over_draws(budget, cost, difference):
     """Monte Carlo error of a mean of DRAWS: its own standard deviation by sqrt(DRAWS), 5 of them tolerated."""
     terms, margins = Terms("energy_j", budget, 80.0), (0.05, 0.1)
     level = math.log(50.0 if budget else 10.0)
-    found = _gain(terms, candidate("a", bounded(cost, 0.1), bounded(difference, 0.4)), level, margins, REACH)
+    found = _gain(terms, candidate("a", bounded(cost, 0.1), bounded(difference, 0.4)), level, margins, 0.95)
     rng = np.random.default_rng(3)
     costs = math.log(cost) + 0.1 * rng.standard_normal(DRAWS)
     differences = math.log(difference) + 0.4 * rng.standard_normal(DRAWS)

@@ -7,7 +7,8 @@ from joulebox_server.analysis.budgets import budget_per_image_j
 from joulebox_server.analysis.documents import NoiseFloor
 from joulebox_server.analysis.errors import AnalysisError
 from joulebox_server.analysis.recommend import recommend
-from measured import interval, point, small_sweep, tradeoff_of
+from joulebox_server.analysis.tradeoff import build_tradeoff
+from measured import SUBJECT, interval, observation, point, small_sweep, tradeoff_of
 from scipy import stats
 
 KEYS = {
@@ -154,9 +155,41 @@ def test_wrong_terms_are_refused(terms, sentence):
         recommend(by_hand(), **terms)
 
 
+@pytest.mark.parametrize("confidence", [0.5, 0.501, 0.999])
+@pytest.mark.parametrize(
+    "terms", [{}, {"budget_j": 60}, {"budget_j": 60, "predict": True}, {"difference_limit": 5e-324}]
+)
+def test_the_least_and_the_greatest_confidence_have_answers(confidence, terms):
+    """At even odds a bound is the value itself, and a deviation that would be told from it is not."""
+    grid = [(photons, rays) for photons in (1000, 2000, 5000, 10000) for rays in (8, 16, 32)]
+    found = [
+        observation(
+            f"c{photons}-{rays}", (10 + photons / 1000) * rays**0.5 * (1 + 0.01 * repeat),
+            4e5 / photons / rays**0.5 * (1 + 0.1 * ((repeat + rays) % 3)),
+            settings={"photons": photons, "rays": rays}, repeat=repeat,
+        )
+        for photons, rays in grid
+        if (photons, rays) != (5000, 16)
+        for repeat in range(3)
+    ]  # fmt: skip
+    answer = recommend(build_tradeoff(SUBJECT, found, confidence=confidence), **terms)
+    assert answer.answer == ("none" if "difference_limit" in terms else "settings")
+    if answer.energy_j is not None:
+        assert answer.energy_j.high <= terms.get("budget_j", 1e9)
+        assert (answer.energy_j.high > answer.energy_j.value) == (confidence > 0.5)
+
+
 def test_nothing_to_judge_is_an_error():
     with pytest.raises(AnalysisError, match="has been both measured and compared"):
         recommend(tradeoff_of([point("a", interval(1), None)]))
+    with pytest.raises(AnalysisError, match="compared to the reference yet; 2 configurations were measured"):
+        recommend(tradeoff_of([point("a", interval(1), None), point("b", interval(2), None)]), budget_j=1)
+    one = tradeoff_of([point("a", interval(1), None)])
+    empty = one.model_copy(update={"points": [], "energy_quality": "time_only"})
+    with pytest.raises(AnalysisError, match=r"on laptop has been both measured and compared to the reference yet$"):
+        recommend(empty, budget_j=1)  # and not that its energy is not known
+    with pytest.raises(AnalysisError, match="no device works on this sweep of cornell-boxes yet"):
+        recommend(empty.model_copy(update={"device": ""}))
 
 
 def test_watt_hours_for_images():

@@ -69,6 +69,19 @@ def test_intervals_cover_as_they_promise(repeats):
     assert 0.937 < np.mean(held) < 0.99
 
 
+def test_a_point_that_lacks_repeats_is_told_as_all_would_show_it():
+    """The first session read 20 % too much; a point that has it alone is not taken to cost more for that."""
+    shifts = np.log([1.2, 1.0, 1 / 1.2])
+    points = [{r: v * np.exp(s) for (r, v), s in zip(p.items(), shifts, strict=True)} for p in drawn(100, 3, 0.005)]
+    scatter = common_scatter(points, UNKNOWING)
+    assert over_values({0: 2.4}, 0.95, scatter).value == pytest.approx(2.0, rel=0.01)
+    assert over_values({0: 2.4, 2: 2.4}, 0.95, scatter).value == pytest.approx(2.4, rel=0.01)
+    assert over_values(dict.fromkeys(range(3), 2.4), 0.95, scatter).value == pytest.approx(2.4, rel=1e-9)
+    assert over_values({9: 2.4}, 0.95, scatter).value == 2.4  # of which nothing is known
+    whole, alone = (over_values(each, 0.95, scatter) for each in (dict.fromkeys(range(3), 2.0), {0: 2.0 * 1.2}))
+    assert alone.high / alone.value == pytest.approx(whole.high / whole.value, rel=0.05)  # what is shared is the most
+
+
 def test_one_repeat_has_the_width_that_others_show():
     points = drawn(50, 3, 0.05)
     scatter = common_scatter(points, UNKNOWING)

@@ -5,15 +5,17 @@ from itertools import product
 import numpy as np
 import pytest
 from joulebox_server.analysis.anova import Anova, Factor
-from joulebox_server.analysis.candidates import candidates
+from joulebox_server.analysis.candidates import Candidate, candidates
 from joulebox_server.analysis.documents import StageCost
+from joulebox_server.analysis.intervals import Interval
 from joulebox_server.analysis.recommend import recommend
-from joulebox_server.analysis.regression import parts_of
-from joulebox_server.analysis.surrogate import Surrogate
+from joulebox_server.analysis.regression import Regression, parts_of
+from joulebox_server.analysis.surrogate import DIFFERENCE_POWERS, Surrogate
 from measured import interval, point, tradeoff_of
 
 RAYS, PHOTONS, SPP = (16, 32, 64, 128), (1000, 4000, 16000), (1, 4, 9)
-GRID = list(product(RAYS, PHOTONS, SPP))
+AXES = (RAYS, PHOTONS, SPP)
+GRID = list(product(*AXES))
 
 
 def cost(rays, photons, spp):
@@ -75,7 +77,8 @@ def test_intervals_of_predictions_cover():
     assert np.mean(held) > 0.9
 
 
-def test_pairs_are_learnt_where_there_are_any_and_cost_nothing_where_there_are_none():
+def test_effects_of_settings_together_are_learnt_where_there_are_any():
+    """a_i a_j over a_i is how strong two settings are together beside one alone."""
     codes = np.array([(i, j) for i in range(5) for j in range(5)], np.intp)
     factors = [Factor(np.linspace(0, 1, 5)), Factor(np.linspace(0, 1, 5))]
     x, y = codes.T / 4
@@ -83,7 +86,7 @@ def test_pairs_are_learnt_where_there_are_any_and_cost_nothing_where_there_are_n
     noise = 0.02 * rng.standard_normal(25)
     crossed = Anova(factors, codes, 2 * x + y + 3 * x * y + noise, np.full(25, 0.02**2))
     added = Anova(factors, codes, 2 * x + y + noise, np.full(25, 0.02**2))
-    assert crossed.strengths.pairs > 5 * added.strengths.pairs
+    assert crossed.strengths.effects.min() > 5 * added.strengths.effects.min()
 
 
 def test_words_are_predicted_without_an_order():
@@ -151,6 +154,57 @@ def test_a_prediction_answers_where_nothing_measured_fits():
     assert (found.answer, found.basis, found.configuration_id) == ("settings", "predicted", None)
     assert "predicted" in found.fragile
     assert any("never measured" in why for why in found.why)
+
+
+def test_differences_are_learnt_as_sums_of_noise():
+    """Noise of three sources adds up in its square, and a difference goes with its 3.5th power: no product of powers.
+
+    20 of 36 points without noise, five splits; what is left out is predicted within 3 %, and three times worse in logs.
+    """
+    factors = [Factor(np.log(np.array(values) / values[0]) / np.log(values[-1] / values[0])) for values in AXES]
+    missed = {DIFFERENCE_POWERS: [], (0.0,): []}
+    for powers, seed in product(missed, range(5)):
+        shown, hidden = split(20, seed)
+        told = [interval(noisy_picture(*row), 0.002 * noisy_picture(*row)) for row in shown]
+        parts, repeats = np.ones((1, 20)), np.ones(20)
+        fit = Regression(factors, codes_of(shown), told, parts, repeats, 0.0, 0.95, 1.0, powers)
+        found = zip(fit.forecast(codes_of(hidden)), hidden, strict=True)
+        missed[powers] += [np.log(each.value / noisy_picture(*row)) for each, row in found]
+    ours, in_logs = (np.sqrt(np.mean(np.square(each))) for each in missed.values())
+    assert ours < 0.03
+    assert ours < in_logs / 3
+
+
+@pytest.mark.parametrize("unit", [1e-4, 1.0, 1e4])
+def test_the_law_that_explains_more_is_taken_in_any_unit(unit):
+    shown, _ = split(24)
+    for law, power in ((difference, 0.0), (noisy_picture, 2 / 3.5)):
+        told = [interval(unit * law(*row), 0.02 * unit * law(*row)) for row in shown]
+        factors = [Factor(np.linspace(0, 1, len(values))) for values in AXES]
+        parts, repeats = np.ones((1, 24)), np.ones(24)
+        fit = Regression(factors, codes_of(shown), told, parts, repeats, 0.0, 0.95, 1.0, DIFFERENCE_POWERS)
+        assert [model._power for model in fit._models] == [power]
+
+
+def noisy_picture(rays, photons, spp):
+    return (40 / rays + 3000 / photons + 2 / spp) ** (3.5 / 2)
+
+
+def codes_of(rows):
+    return np.array([[values.index(value) for values, value in zip(AXES, row, strict=True)] for row in rows])
+
+
+@pytest.mark.parametrize(("deviation", "chosen"), [(0.3, "unsure"), (0.4, "sure")])
+def test_predictions_rank_by_what_is_to_be_expected(deviation, chosen):
+    """The mean of a log-normal with median 10 is 10.46 with a deviation of 0.3, 10.83 with one of 0.4."""
+    bounds = {"sure": exact(10.6, 10.6), "unsure": exact(10.0, 10 * np.exp(1.645 * deviation))}
+    predicted = [Candidate(None, name, {"name": name}, {}, interval(1), each, None) for name, each in bounds.items()]
+    found = recommend(measured(GRID[:1]), 2.0, difference_limit=100, predict=True, known=([], predicted))
+    assert found.label == chosen
+
+
+def exact(value, high):
+    return Interval(low=value, value=value, high=high)
 
 
 def staged(rows, noise, seed):
