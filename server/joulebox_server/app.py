@@ -37,7 +37,7 @@ from joulebox_server.settings import ServerSettings
 from joulebox_server.store import Store
 from joulebox_server.store import events as stored_events
 from joulebox_server.store.ids import now_us
-from joulebox_server.store.leases import reap
+from joulebox_server.store.leases import reap, set_back
 from joulebox_server.waiting import Bell
 from joulebox_server.workers import Workers
 
@@ -113,9 +113,10 @@ async def _running(
 
 
 async def _keep_house(services: Services) -> None:
-    """Take back ended leases, also while no device asks for work; drop old events."""
+    """Take back ended leases, also while no device asks for work or the clock was set back; drop old events."""
     while True:
         try:
+            await services.write(set_back, services.lease_rules, services.clock())
             await services.write(reap, services.lease_rules, services.clock())
             await services.write(stored_events.trim)
             await asyncio.to_thread(services.store.checkpoint)

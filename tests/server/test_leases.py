@@ -2,12 +2,14 @@
 
 import io
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from fake_device import FakeDevice, measure_document, picture, resolved
+import pytest
+from fake_device import FakeDevice, measure_document, picture, resolved, scene_zip, sha256
 from joulebox_server.schemas.sweep import SweepDefinition
 from joulebox_server.store import Store, blobs, devices, leases, planning, results, scenes
 from joulebox_server.store.database import number, rows
@@ -182,6 +184,41 @@ def test_release_pause(tmp_path: Path, executor: Any) -> None:
         assert device.lease() == []
         server.clock.ahead_s = 61
         assert len(device.lease()) == 1
+
+
+def test_a_clock_that_was_a_year_ahead(tmp_path: Path, executor: Any) -> None:
+    """Set right, it leaves no lease and no pause that lasts until next year."""
+    with serving(tmp_path, executor, reap_every_s=0.02, release_pause_s=60) as server:
+        server.add_scene()
+        server.add_sweep(axes={}, repeats=1)
+        device = server.device()
+        server.clock.ahead_s = 365 * 86_400
+        silent, given_back = device.lease(max_jobs=2)
+        path = f"/v1/attempts/{given_back['attempt_id']}/release"
+        server.client.post(path, headers=device.headers, json={"reason": "warm"})
+        server.clock.ahead_s = 0
+        ends_s = time.monotonic() + 5
+        while time.monotonic() < ends_s and server.store.read(last_end_us) > server.clock() + PAST_ANY_LEASE_S * 1e6:
+            time.sleep(0.02)
+        server.clock.ahead_s = PAST_ANY_LEASE_S
+        again = {lease["job_id"] for lease in device.lease(max_jobs=20)}
+        assert {silent["job_id"], given_back["job_id"]} <= again
+
+
+def last_end_us(db: Any) -> int:
+    """When the last lease ends."""
+    return int(db.execute("SELECT max(expires_at_us) FROM attempt WHERE state = 'leased'").fetchone()[0])
+
+
+def test_a_scene_sent_again_after_the_clock_was_set_back(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A name means what was sent last, whatever the clock said when."""
+    newer = scene_zip("<scene version='3.0.0' />")
+    with monkeypatch.context() as ahead:
+        ahead.setattr("joulebox_server.store.scenes.now_us", lambda: server.clock() + 3_600_000_000)
+        server.add_scene("clocked")
+    assert server.add_scene("clocked", newer)["bundle_sha256"] == sha256(newer)
+    shown = {scene["name"]: scene["bundle_sha256"] for scene in server.get("/scenes")["items"]}
+    assert shown["clocked"] == sha256(newer)
 
 
 def test_restarted_device_gives_back_at_once(server: Server) -> None:

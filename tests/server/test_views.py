@@ -82,7 +82,13 @@ def test_a_pasted_file_is_read_as_toml_or_json(server: Server) -> None:
     assert told["definition"]["scenes"] == [{"name": "box"}, {"name": "box", "defines": {"a": "1"}}, "box", "hall"]
     assert len(told["notes"]) == 2
     assert read(server, '{"name": "x", "scenes": ["box"]}').json()["definition"] == {"name": "x", "scenes": ["box"]}
-    for wrong, word in (("name = ", "TOML"), ("{", "JSON"), (TWICE, "stands twice"), ("", "holds nothing"), ("[" * 5000, "TOML")):
+    for wrong, word in (
+        ("name = ", "TOML"),
+        ("{", "JSON"),
+        (TWICE, "stands twice"),
+        ("", "holds nothing"),
+        ("[" * 5000, "TOML"),
+    ):
         answer = read(server, wrong)
         assert answer.status_code == 422
         assert word in answer.json()["detail"]

@@ -67,6 +67,21 @@ def reap(db: Database, rules: LeaseRules, now_us: int) -> int:
     return _take_back(db, rules, Event.EXPIRY, "attempt.expires_at_us <= ?", (now_us,), now_us)
 
 
+def set_back(db: Database, rules: LeaseRules, now_us: int) -> None:
+    """Count again from now what a clock that was ahead and is right again would let last until it was reached."""
+    db.execute(
+        """UPDATE attempt SET expires_at_us = expires_at_us - leased_at_us + ?, leased_at_us = ?
+        WHERE state = 'leased' AND leased_at_us > ?""",
+        (now_us, now_us, now_us + round(rules.slack_s * MICRO)),
+    )
+    longest_s = max(rules.release_pause_s, rules.retry_pause_s, rules.longest_retry_pause_s)
+    db.execute(
+        """UPDATE job SET not_before_us = ? WHERE state = 'queued' AND not_before_us > ? AND target_id IN
+        (SELECT target.id FROM target JOIN sweep ON sweep.id = sweep_id WHERE sweep.state IN ('running', 'paused'))""",
+        (now_us, now_us + round((longest_s + rules.slack_s) * MICRO)),
+    )
+
+
 def release(
     db: Database, attempt_id: str, device_id: str, request: ReleaseRequest, rules: LeaseRules, now_us: int
 ) -> None:

@@ -15,10 +15,11 @@ CURRENT = """FROM scene WHERE created_at_us =
 
 def put(db: Database, name: str, bundle_sha256: str) -> bool:
     """Let `name` mean this bundle (its blob is stored); False when it did already."""
-    known = row(db, f"SELECT bundle_sha256 {CURRENT} AND name = ?", (name,))
+    known = row(db, f"SELECT bundle_sha256, created_at_us {CURRENT} AND name = ?", (name,))
     if known and known["bundle_sha256"] == bundle_sha256:
         return False
-    at_us = now_us()
+    # Later than the last one, also when the machine's clock was set back meanwhile.
+    at_us = max(now_us(), known["created_at_us"] + 1 if known else 0)
     db.execute(
         """INSERT INTO scene (id, name, bundle_sha256, created_at_us) VALUES (?, ?, ?, ?)
         ON CONFLICT (name, bundle_sha256) DO UPDATE SET created_at_us = excluded.created_at_us""",

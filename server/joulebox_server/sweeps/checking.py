@@ -78,7 +78,7 @@ def _passed_over(*_: Any) -> Iterator[ValidationError]:
     yield from ()
 
 
-Settings = extend(Draft202012Validator, {"pattern": _passed_over, "patternProperties": _passed_over})
+Settings = extend(Draft202012Validator, {"pattern": _passed_over, "patternProperties": _passed_over})  # type: ignore[no-untyped-call]
 
 
 def settings_errors(definition: SweepDefinition, schema: Mapping[str, Any]) -> list[FieldError]:
