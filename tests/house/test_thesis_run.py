@@ -46,6 +46,9 @@ def run(folder: Path, scenes: Path, show=lambda done, total, doing: None, source
     """The tiny batch in a folder, to its end: quick, or metered by a source."""
     study = Study.opened(folder, quick=source == "none", source=source)
     with Local(folder, 1, source) as local:
+        study.send_scenes([TINY_BATCH], local.connection, scenes)
+        low_s, high_s = study.expected_s([TINY_BATCH], local.connection)
+        assert 0 < low_s <= high_s
         study.run([TINY_BATCH], local.connection, scenes, Follower(show, local.check))
         if study.results().basis == "measured":
             discharge.keep_measured(study.folder, local.connection, study.rows())
@@ -141,10 +144,10 @@ def test_a_server_that_dies_is_a_sentence(root: Path, tmp_path: Path) -> None:
     def kill_it(done: int, total: int, doing: str) -> None:
         os.kill(json.loads((tmp_path / "out/server/server.json").read_text())["pid"], signal.SIGKILL)
 
-    with pytest.raises(
-        Exception, match=r"the server ended with exit code -9; the last line of its log .+ run the same"
-    ):
+    expected = r"the server ended with exit code -9; the last line of its log .+ run the same"
+    with pytest.raises(CommandError, match=expected) as told:
         run(tmp_path / "out", root / "scenes", kill_it)
+    assert (tmp_path / "out/server/operator.token").read_text().strip() not in str(told.value)
 
 
 def test_a_full_disk_is_a_sentence(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -178,6 +181,9 @@ def test_a_study_goes_on_as_it_began(tmp_path: Path) -> None:
         Study.opened(tmp_path / "out", quick=True, server="http://127.0.0.1:1")
     with pytest.raises(WrongUseError, match="holds no study; run"):
         Study.found(tmp_path / "other")
+    Study.opened(tmp_path / "full", quick=False, can_meter=lambda: False)
+    with pytest.raises(WrongUseError, match="was started without --quick; leave it out"):
+        Study.found(tmp_path / "full", quick=True)
 
 
 def gone(pid: int) -> bool:

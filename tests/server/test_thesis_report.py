@@ -2,12 +2,15 @@
 
 import json
 import math
+import re
 from dataclasses import asdict, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from invented import invented
 from joulebox_server.cli.connection import CommandError, WrongUseError
+from joulebox_server.cli.thesis import thesis
 from joulebox_server.schemas.measure import Stage
 from joulebox_server.thesis import catalogue, direct, discharge, dv
 from joulebox_server.thesis.evaluation import write
@@ -221,3 +224,20 @@ def test_a_full_study_without_a_source_is_timed_and_a_quick_one_rendered_once(tm
     assert "threads" not in found["metered"]["settings"]
     assert all(definition["reference"]["seed_policy"] == "same" for definition in found.values())
     assert all(definition["preset"] == "reference" for definition in found.values())
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"report_only": True, "device": "lap"}, "--device: --report-only renders nothing"),
+        ({"report_only": True, "source": "rapl"}, "--source: --report-only renders nothing"),
+        ({"quick": True, "source": "rapl"}, "--source rapl: a quick run meters nothing"),
+        ({"server": "http://127.0.0.1:9"}, "no server answers at http://127.0.0.1:9"),
+        ({"scenes": Path("/nowhere")}, "the scenes are not in /nowhere; say where with --scenes"),
+        ({"batch": ["cliffs"]}, "there is no batch 'cliffs'; batches are fg"),
+    ],
+)
+def test_what_cannot_be_used_is_a_sentence_and_leaves_no_folder(tmp_path, options, sentence):
+    with pytest.raises((CommandError, WrongUseError), match=re.escape(sentence)):
+        thesis(tmp_path / "out", **options)
+    assert not (tmp_path / "out").exists()

@@ -30,7 +30,7 @@ def thesis(
         list[str] | None, typer.Option(help="Only this batch; repeatable.", show_default="all of them")
     ] = None,
     quick: Annotated[
-        bool, typer.Option("--quick", help="One render a configuration, CPU seconds instead of joules.")
+        bool, typer.Option("--quick", help="CPU seconds instead of joules, smaller pictures, few repeats.")
     ] = False,
     device: Annotated[str | None, typer.Option(help="Device of the server that renders.")] = None,
     server: Annotated[

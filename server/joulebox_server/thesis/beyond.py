@@ -216,11 +216,11 @@ def advice(results: Results) -> list[str]:
     """What is worth switching on, and what all savings come to together."""
     whole, reference = combined(results, COMBINED), results.reference("beyond-combined")
     limit = limit_of(whole)
-    within = "acceptable" if compared(whole).value <= limit else "beyond what is acceptable"
+    too_far = "" if compared(whole).value <= limit else ", which is too far"
     return [
         f"To begin with: final gathering with {', '.join(SINGLES)}. Together they save "
         f"{told_share(saving(whole.cost, reference.cost))} of what the thesis' reference costs, at a difference of "
-        f"{told(compared(whole))} where {figure(limit)} is acceptable: {within}."
+        f"{told(compared(whole))} where {figure(limit)} is acceptable{too_far}."
     ]
 
 
