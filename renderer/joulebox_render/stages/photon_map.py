@@ -169,7 +169,8 @@ def grow_tree(position: F4, normal: F4, pool: WorkerPool | None = None) -> tuple
     for level in range(shared + 1):
         _grow_level(pool, columns, order, axis, plane, spans, depth if level == shared else 1)
         spans = [half for low, high in spans for half in ((low, (low + high) // 2), ((low + high) // 2, high))]
-    return Tree(*_in_order(pool, order, position, normal), axis, plane), order
+    ordered_position, ordered_normal = _in_order(pool, order, position, normal)
+    return Tree(ordered_position, ordered_normal, axis, plane), order
 
 
 def _in_order(pool: WorkerPool | None, order: I4, *columns: np.ndarray) -> list[np.ndarray]:
