@@ -102,7 +102,7 @@ def test_gathering_again_does_not_darken(monkeypatch: pytest.MonkeyPatch) -> Non
     """`veach-door` is as bright as where no gather is made again, within 3 standard errors of six pictures' means.
 
     A gather that is kept because it missed what would have made it doubtful is too dark: were its own doubt of 0.25
-    enough, these pictures would lose 1.4 +- 0.2 %. The standard error is less than a third of that, or it were not seen.
+    enough, these pictures would lose 1.4 +- 0.2 %. The standard error is a third of that at most, or it were not seen.
     """
 
     def brightness(seed: int) -> float:
