@@ -23,6 +23,7 @@ from joulebox_render.settings import make_settings
 from joulebox_server.analysis.difference import Display, compare
 
 from .grids import (
+    COST_SEEDS,
     DATA,
     GRIDS,
     REPEATS,
@@ -33,6 +34,7 @@ from .grids import (
     Grid,
     Render,
     columns,
+    is_complete,
     read_renders,
     table,
 )  # fmt: skip
@@ -124,6 +126,8 @@ def study(grid: Grid) -> None:
     write_reference(grid, painter, picture, floor)
     kept = Kept(grid)
     for name in grid.sets:
+        if is_complete(grid, name):
+            continue
         for seed in SEEDS[name]:
             kept.complete(painter, picture, [c for c in grid.configurations if not kept.far_off(c, seed)], seed)
             print(f"[{time.monotonic() - start:5.0f} s] {grid.scene}: seed {seed} done", file=sys.stderr, flush=True)
@@ -173,7 +177,8 @@ class Kept:
         """Configurations that may truly be the best for some budget, as the seeds of a set show them."""
         found = [self._renders[tuple(c.values())] for c in self._grid.configurations]
         seen = [[r for s, r in each.items() if s in SEEDS[name]] or list(each.values()) for each in found]
-        cost = np.array([np.median([render.cpu_s for render in each]) for each in seen])
+        timed = [[r for s, r in each.items() if s in COST_SEEDS] or list(each.values()) for each in found]
+        cost = np.array([np.median([render.cpu_s for render in each]) for each in timed])
         mean = np.array([np.mean([render.difference for render in each]) for each in seen])
         best = np.array([mean[cost <= COST_MARGIN * own].min() for own in cost])
         near = (mean <= NEAR * best) & (mean <= NEAR_LIMITS * self._grid.limit)
