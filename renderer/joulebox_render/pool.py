@@ -40,7 +40,9 @@ class WorkerPool:
     def map_chunks(self, work: Callable[[int, int], T], count: int, rays_per_item: int) -> Iterator[T]:
         """work(first, last) over [0, count) in chunks of at most about `chunk_rays` rays; yields results in order.
 
-        Raises StoppedError, in place of the next chunk's result, after `stop`.
+        One thread is the caller's own, which works as results are asked for: a second would do a part of its work at
+        the same time, and be waited for after every chunk. Raises StoppedError, in place of the next chunk's result,
+        after `stop`.
         """
         ranges = self._cut(count, max(1, self.chunk_rays // max(1, rays_per_item)))
 
@@ -49,7 +51,7 @@ class WorkerPool:
                 raise StoppedError("rendering was stopped")
             return work(*span)
 
-        return self._executor.map(guarded, ranges)
+        return map(guarded, ranges) if self.threads == 1 else self._executor.map(guarded, ranges)
 
     def _cut(self, count: int, most: int) -> list[tuple[int, int]]:
         """Chunks of at most `most`, smaller and smaller towards the end: no thread waits long for another's last.

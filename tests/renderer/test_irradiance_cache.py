@@ -18,11 +18,11 @@ from joulebox_render.stages.eye import camera_frame, look
 from joulebox_render.stages.gather import NOT_BENT, aim_gather
 from joulebox_render.stages.irradiance_cache import (
     MOST_PIXELS,
-    UNSURE,
     CacheRecords,
     IrradianceCache,
     Strata,
     fill_cache,
+    gather_again,
     gather_grids,
     gather_records,
     index_records,
@@ -267,7 +267,7 @@ def test_unsure_gathers_are_made_again_with_four_times_the_rays(open_session: Op
     points = look(context, camera, 0, 24 * 24).direct
     once, doubt = gather_grids(context, camera, light, points, 5, 16)
     exact, _ = gather_grids(context, camera, light, points, 40, 128)
-    unsure = doubt > UNSURE
+    unsure = gather_again(doubt)
     records = gather_records(context, camera, light, points)
     assert 0.1 < unsure.mean() < 0.9
 
@@ -394,3 +394,10 @@ def test_records_reach_within_their_least_and_most_pixels(open_session: Open, to
     assert np.all(reach <= MOST_PIXELS * at * (1 + 1e-4))
     # Clamping may pull a record down to its neighbours, never below the least of them.
     assert reach.min() >= least * at.min() * (1 - 1e-4)
+
+
+def test_gathers_are_made_again_by_their_own_doubt_and_sooner_by_their_neighbours() -> None:
+    """A doubt of 0.3 is enough beside, not in itself; the picture's first and last gather have one neighbour."""
+    doubt = np.array([0.0, 0.3, 0.0, 0.0, 0.5, 0.2, 0.2, 0.3])
+    assert gather_again(doubt).tolist() == [True, False, True, True, True, True, True, False]
+    assert not len(gather_again(np.zeros(0)))

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from joulebox_render.kernels.compilation import kernel
+from joulebox_render.kernels.lights import light_faces
 from joulebox_render.kernels.rng import child_key, fill_2d
 from joulebox_render.kernels.surface import surface_at_hit
 from joulebox_render.kernels.vector import cosine_direction, row3, set_row3
@@ -17,12 +18,16 @@ CLOSE = 2.0
 
 @kernel
 def close_points(tables, light, points, first, last, row):
-    """Rows of points [first, last) that may be close to a light; row (last - first,) i4; returns how many."""
+    """Rows of points [first, last) that may be lit from close by; row (last - first,) i4; returns how many.
+
+    A ceiling around its lamp is close to it and gets nothing.
+    """
     count, reach = 0, tables.light_close[light]
     cx, cy, cz = row3(tables.light_position, light)
     for i in range(first, last):
         px, py, pz = row3(points.position, i)
-        if (px - cx) ** 2 + (py - cy) ** 2 + (pz - cz) ** 2 < reach * reach:
+        near = (px - cx) ** 2 + (py - cy) ** 2 + (pz - cz) ** 2 < reach * reach
+        if near and light_faces(tables, light, points, i):
             row[count] = i
             count += 1
     return count

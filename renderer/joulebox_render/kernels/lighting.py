@@ -6,7 +6,7 @@ import numpy as np
 
 from joulebox_render.kernels.close_lights import CLOSE
 from joulebox_render.kernels.compilation import device, kernel
-from joulebox_render.kernels.lights import DISK_LIGHT, ENVIRONMENT, RECTANGLE_LIGHT, light_sample
+from joulebox_render.kernels.lights import ENVIRONMENT, RECTANGLE_LIGHT, light_faces, light_sample
 from joulebox_render.kernels.rng import child_key, fill_2d
 from joulebox_render.kernels.vector import cosine_direction, row3, set_row3
 
@@ -17,25 +17,6 @@ SHORT, NEAREST2 = np.float32(1.0 - 1e-4), np.float32(1e-30)
 ZERO, ONE = np.float32(0.0), np.float32(1.0)
 # How far away the environment is taken to be [m].
 SKY_DISTANCE = 1e30
-
-
-@device
-def light_faces(tables, light, points, row):
-    """Whether any of a light may shine on a point, as far as the planes of both tell."""
-    kind = tables.light_kind[light]
-    if kind != RECTANGLE_LIGHT and kind != DISK_LIGHT:
-        return True
-    px, py, pz = row3(points.position, row)
-    cx, cy, cz = row3(tables.light_position, light)
-    lx, ly, lz = row3(tables.light_normal, light)
-    dx, dy, dz = cx - px, cy - py, cz - pz
-    if dx * lx + dy * ly + dz * lz >= 0.0:
-        return False
-    nx, ny, nz = row3(points.normal, row)
-    ux, uy, uz = row3(tables.light_edge_u, light)
-    vx, vy, vz = row3(tables.light_edge_v, light)
-    # How high the highest corner stands above the point's horizon.
-    return dx * nx + dy * ny + dz * nz + abs(ux * nx + uy * ny + uz * nz) + abs(vx * nx + vy * ny + vz * nz) > 0.0
 
 
 @device

@@ -43,6 +43,25 @@ def mesh_triangle(tables, light, u):
 
 
 @device
+def light_faces(tables, light, points, row):
+    """Whether any of a light may shine on a point, as far as the planes of both tell."""
+    kind = tables.light_kind[light]
+    if kind != RECTANGLE_LIGHT and kind != DISK_LIGHT:
+        return True
+    px, py, pz = row3(points.position, row)
+    cx, cy, cz = row3(tables.light_position, light)
+    lx, ly, lz = row3(tables.light_normal, light)
+    dx, dy, dz = cx - px, cy - py, cz - pz
+    if dx * lx + dy * ly + dz * lz >= 0.0:
+        return False
+    nx, ny, nz = row3(points.normal, row)
+    ux, uy, uz = row3(tables.light_edge_u, light)
+    vx, vy, vz = row3(tables.light_edge_v, light)
+    # How high the highest corner stands above the point's horizon.
+    return dx * nx + dy * ny + dz * nz + abs(ux * nx + uy * ny + uz * nz) + abs(vx * nx + vy * ny + vz * nz) > 0.0
+
+
+@device
 def light_point(tables, light, u, v):
     """Uniform point of an area light and its normal there: (px, py, pz, nx, ny, nz).
 

@@ -11,6 +11,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from joulebox_render.kernels.irradiance import (
     clamp_neighbours,
@@ -39,8 +40,9 @@ HEADROOM = 0.25
 MOST_ENTRIES = 64
 # A gather is made again where its standard error is more than this share of what it found: where fewer than about
 # seven rays bring all the light. Less would replace many that found a bright place and keep those that missed it: at
-# 0.25 veach-door is 2 % darker, at 0.4 by 0.3 %. Darker than DARK, a mean square of radiances, is no light.
-UNSURE, DARK = 0.4, 1e-30
+# 0.25 veach-door is 2 % darker, at 0.4 by 0.3 %. What its neighbours found says nothing of its own luck, so that their
+# doubt may be asked for less without any bias. Darker than DARK, a mean square of radiances, is no light.
+UNSURE, NEIGHBOUR_UNSURE, DARK = 0.4, 0.25, 1e-30
 AGAIN_BRANCH = np.uint64(1)
 # Rays of a gather where no record reaches.
 LEAST_RAYS = 16
@@ -140,7 +142,7 @@ def gather_records(context: Context, camera: Camera, light: Illumination, points
     polar = max(1, round(math.sqrt(context.settings.final_gather_rays / math.pi)))
     azimuth = max(3, context.settings.final_gather_rays // polar)
     records, doubt = gather_grids(context, camera, light, points, polar, azimuth)
-    unsure = np.flatnonzero(doubt > UNSURE)
+    unsure = np.flatnonzero(gather_again(doubt))
     again = Points(*rows(points, unsure))
     better, _ = gather_grids(
         context, camera, light, again._replace(key=again.key + AGAIN_BRANCH), 2 * polar, 2 * azimuth
@@ -148,6 +150,12 @@ def gather_records(context: Context, camera: Camera, light: Illumination, points
     for column, row in zip(records, better, strict=True):
         column[unsure] = row
     return records
+
+
+def gather_again(doubt: F8) -> npt.NDArray[np.bool_]:
+    """Which gathers (N,) are made again: by their own doubt, and that of those before and after them in the picture."""
+    beside = np.pad(doubt, 1)
+    return (doubt > UNSURE) | (np.maximum(beside[:-2], beside[2:]) > NEIGHBOUR_UNSURE)
 
 
 def gather_grids(

@@ -148,9 +148,8 @@ def global_histories(context: Context) -> tuple[int, ...]:
 def build_photon_map(photons: Photons, emitted: int, wanted: int, pool: WorkerPool | None = None) -> PhotonMap:
     """Put photons into a kd-tree and scale their flux by the number emitted."""
     tree, order = grow_tree(photons.position, photons.normal, pool)
-    flux = photons.flux.take(order, axis=0)
+    flux, wi, history = _in_order(pool, order, photons.flux, photons.wi, photons.history)
     flux /= np.float32(max(1, emitted))
-    wi, history = photons.wi.take(order, axis=0), photons.history.take(order)
     return PhotonMap(tree, flux, wi, history, order, len(photons.number), emitted, len(photons.number) >= wanted)
 
 
@@ -170,7 +169,24 @@ def grow_tree(position: F4, normal: F4, pool: WorkerPool | None = None) -> tuple
     for level in range(shared + 1):
         _grow_level(pool, columns, order, axis, plane, spans, depth if level == shared else 1)
         spans = [half for low, high in spans for half in ((low, (low + high) // 2), ((low + high) // 2, high))]
-    return Tree(position.take(order, axis=0), normal.take(order, axis=0), axis, plane), order
+    ordered_position, ordered_normal = _in_order(pool, order, position, normal)
+    return Tree(ordered_position, ordered_normal, axis, plane), order
+
+
+def _in_order(pool: WorkerPool | None, order: I4, *columns: np.ndarray) -> list[np.ndarray]:
+    """Columns (N, ...) with their rows in another order (N,)."""
+    ordered = [np.empty_like(column) for column in columns]
+
+    def take(first: int, last: int) -> None:
+        for column, result in zip(columns, ordered, strict=True):
+            # Raising on a wrong row, numpy's other way, would copy once more.
+            np.take(column, order[first:last], axis=0, out=result[first:last], mode="clip")
+
+    if pool is None:
+        take(0, len(order))
+    else:
+        list(pool.map_chunks(take, len(order), 1))
+    return ordered
 
 
 def _grow_level(
