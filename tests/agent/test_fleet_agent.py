@@ -476,3 +476,21 @@ def test_a_low_battery_takes_no_job_until_it_was_charged(
     (battery / "energy_now").write_text(str(full))  # charged, and off the cable again
     Bench(state, fleet, source="auto", sysfs_root=root, once=True).daemon.run()
     assert "POST /leases" in fleet.calls
+
+
+def test_a_job_that_reaches_the_band_s_end_is_given_back(
+    state: StateDir, fleet: FakeFleet, tree: Callable[[str], Path]
+) -> None:
+    root = tree("thinkpad_power_now")
+    battery = root / "class/power_supply/BAT0"
+    full = int((battery / "energy_full").read_text())
+    (battery / "energy_now").write_text(str(full * 7 // 10))
+    fleet.add_job(1, fleet.add_scene(), image_s=0.05)
+    fleet.jobs[0]["measure"] |= {"window_s": 0.2, "min_windows": 100, "max_windows": 100}
+    bench = Bench(state, fleet, source="auto", sysfs_root=root, once=True)
+    threading.Timer(1.0, (battery / "energy_now").write_text, (str(full // 4),)).start()
+    bench.daemon.run()
+    _, reason, failed = fleet.releases[0]
+    assert "the charge is 25%, the lower end of its band 90-30 %" in reason
+    assert failed is False
+    assert fleet.results == {}

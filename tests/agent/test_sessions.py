@@ -356,3 +356,62 @@ def test_a_bad_configuration_file_is_one_sentence(tmp_path: Path, text: str, wor
     file.write_text(text)
     with pytest.raises(UsageError, match=words):
         read_configurations(file)
+
+
+def test_a_lent_job_ends_at_the_lower_end_of_the_band(tmp_path: Path) -> None:
+    """Who does not wait for charges gives back what is no answer yet, and blames the job after a whole charge only."""
+    machine = Machine(tmp_path / "sys", charge_wh=0.31 * FULL_WH)  # 0.48 Wh are 100 s of rendering
+    charging = Charging(Band(0.9, 0.3), machine.root, waits=False)
+    bench = Bench(machine, tmp_path, MIXES[:1], charging=charging)
+    (record,) = bench.session.run()
+    assert 1 <= len(record.windows) < RULE.min_windows
+    assert record.void == (
+        f"the charge is 30%, the lower end of its band 90-30 %, after {len(record.windows)} of 4 windows"
+    )
+    assert record.environment
+    again = Machine(tmp_path / "again", charge_wh=0.31 * FULL_WH)
+    narrow = Charging(Band(0.31, 0.3), again.root, waits=False)
+    (record,) = Bench(again, tmp_path, MIXES[:1], charging=narrow).session.run()
+    assert record.void is not None
+    assert not record.environment
+
+
+def test_windows_that_are_an_answer_are_kept_at_a_low_charge(tmp_path: Path) -> None:
+    machine = Machine(tmp_path / "sys", charge_wh=0.325 * FULL_WH)  # 1.2 Wh are 220 s of rendering
+    rule = RULE.model_copy(update={"half_width": 0.0005})  # asks for the most windows, of 240 s
+    bench = Bench(machine, tmp_path, MIXES[:1], rule, charging=Charging(Band(), machine.root, waits=False))
+    (record,) = bench.session.run()
+    assert record.void is None
+    assert RULE.min_windows <= len(record.windows) < RULE.max_windows
+    assert "the lower end of its band 90-30 %" in str(record.notes)
+
+
+def test_no_charge_is_waited_for_after_the_last_window(tmp_path: Path) -> None:
+    """The charge falls below the band within the last window that was wanted."""
+    machine = Machine(tmp_path / "sys", charge_wh=0.314 * FULL_WH)  # 0.67 Wh, and the four windows take 0.62 to 0.7
+    bench = Bench(machine, tmp_path, MIXES[:1], charging=Charging(Band(), machine.root))
+    at(machine, 1000.0, lambda m: bench.stop.set())  # ends a wait for a charge that nobody gives
+    (record,) = bench.session.run()
+    assert len(record.windows) == RULE.min_windows
+    assert machine.charge_wh / FULL_WH <= 0.3
+    assert not any("charging to" in text for text in bench.words.said)
+
+
+def test_a_wait_that_is_broken_off_leaves_no_battery_draining(machine: Machine, tmp_path: Path) -> None:
+    file = machine.battery / "charge_behaviour"
+    file.write_text("[auto] inhibit-charge force-discharge")
+    charging = Charging(Band(0.34, 0.3), machine.root)
+    machine.charge_wh, machine.charger_w = 0.2 * FULL_WH, 2000.0
+    machine.advance(machine.now_s() + 2)
+    bench = Bench(machine, tmp_path, MIXES[:1], charging=charging)
+    at(machine, 5.0, lambda m: setattr(m, "plugged", True))
+
+    def wait(m: Machine) -> None:
+        if file.read_text() == "force-discharge":
+            file.write_text("auto inhibit-charge [force-discharge]")  # as the kernel shows what it was told
+            bench.stop.set()
+
+    machine.faults.append(wait)
+    with pytest.raises(StoppedError):
+        bench.session.run()
+    assert file.read_text() == "auto"

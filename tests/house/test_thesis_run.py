@@ -15,8 +15,9 @@ from joulebox_server.cli.connection import WrongUseError
 from joulebox_server.thesis import discharge, dv
 from joulebox_server.thesis.batch import Batch, Plan
 from joulebox_server.thesis.evaluation import write
+from joulebox_server.thesis.following import Follower
 from joulebox_server.thesis.local import Local, can_meter
-from joulebox_server.thesis.study import Follower, Study
+from joulebox_server.thesis.study import Study
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals are those of POSIX")
 

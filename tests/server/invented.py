@@ -27,7 +27,8 @@ def invented(
 
     cost         stages by name, of a scene's label and settings
     difference   to the reference, of the same; 0 for the reference's own settings
-    noise        control runs and seeds are alternately this much (of a logarithm) above and below
+    noise        renders of a sweep with several are alternately this much (of a logarithm) above and below, from seed
+                 to seed and from configuration to configuration
     defaults     of the renderer, for settings that the sweeps do not name
     """
     study = Study(None, "", True, None, None, False)  # type: ignore[arg-type]
@@ -50,8 +51,8 @@ def _rows(
         settings = {"caustics": True, "caustic_hints": False, "direct_photons": 10_000, "photon_spacing": 0}
         settings |= defaults
         settings |= (reference if job.configuration == len(measured) else measured[job.configuration]).settings
-        # a reference's control is not there: what is repeated is the first configuration and the seeds
-        off = math.exp(noise * (-1) ** job.repeat) if job.purpose == "control" or definition.repeats > 1 else 1.0
+        turn = (-1) ** (job.repeat + job.configuration)
+        off = math.exp(noise * turn) if definition.repeats > 1 else 1.0
         stages = {name: Cost(c * off, c * off, c * off) for name, c in cost(entry.label, settings).items()}
         whole = sum(stage.cpu_s for stage in stages.values())
         apart = None if job.purpose in ("reference", "control") else difference(entry.label, settings) * off

@@ -132,9 +132,13 @@ def test_wheels(tmp_path: Path, executor: Any) -> None:
         told(server.client.get("/wheels/secret.txt"), 404, "not_found", "make wheels")
         code = server.client.post("/v1/enrollments", headers=server.operator, json={}).json()
         assert code["join"] == (
-            "python3 -m pip install --find-links http://127.0.0.1/wheels/ joulebox-agent joulebox-render"
+            "python3 -m venv ~/.joulebox && . ~/.joulebox/bin/activate"
+            " && python3 -m pip install --find-links http://127.0.0.1/wheels/"
+            " joulebox-agent==0.1.0 joulebox-render==0.1.0"
             f" && joulebox-agent enroll --server http://127.0.0.1 --code {code['code']} && joulebox-agent doctor"
         )
+        (folder / names[1]).unlink()  # half of what a device needs is nothing it could install
+        assert "pip" not in server.client.post("/v1/enrollments", headers=server.operator, json={}).json()["join"]
         shutil.rmtree(folder)
         assert "pip" not in server.client.post("/v1/enrollments", headers=server.operator, json={}).json()["join"]
 
@@ -151,7 +155,7 @@ def test_pip_finds_the_wheels(tmp_path: Path, executor: Any) -> None:
             wheel.writestr(f"{inside}/RECORD", "")
     with listening(tmp_path / "data", executor, wheels_dir=folder) as server:
         line = server.client.post("/v1/enrollments", headers=server.operator, json={}).json()["join"]
-        words = shlex.split(line.split("&&")[0])
+        words = shlex.split(line.split("&&")[2])
         assert words[:4] == ["python3", "-m", "pip", "install"]
         quiet = ["--quiet", "--disable-pip-version-check", "--no-index", "--no-deps", "--dest", str(tmp_path / "got")]
         command = [sys.executable, "-m", "pip", "download", *quiet, *words[4:]]
@@ -162,8 +166,10 @@ def test_pip_finds_the_wheels(tmp_path: Path, executor: Any) -> None:
 
 
 def test_the_line_for_another_machine(tmp_path: Path) -> None:
-    """pip passes over plain HTTP of other machines unless it is told to trust them."""
-    (tmp_path / "joulebox_agent-1-py3-none-any.whl").touch()
+    """pip passes over plain HTTP of other machines unless told to trust them; it takes the newest here."""
+    for name in ("agent-0.9", "render-0.9", "render-0.10", "render-x.y"):
+        (tmp_path / f"joulebox_{name}-py3-none-any.whl").touch()
+    assert " joulebox-agent==0.9 joulebox-render==0.10 " in join_command(tmp_path, "https://lab.example", "A-B-C")
     assert "--trusted-host lab.example" in join_command(tmp_path, "http://lab.example:8473", "A-B-C")
     assert "--trusted-host" not in join_command(tmp_path, "https://lab.example:8473", "A-B-C")
 

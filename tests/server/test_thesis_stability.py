@@ -116,11 +116,11 @@ def test_every_regime_has_its_seeds_and_all_figures_are_drawn():
     advised = stability.BATCH.advice(results)
     assert len(advised) == 5
     assert (
-        "Where methods fail: final gathering of cornell-boxes falls off a cliff in irradiance_cache_tolerance, the "
-        "differences on both sides being, from 1.6 to 4: 4 to 30 (6.25 is acceptable)."
+        "Where methods fail: stay clear of the cliff of irradiance_cache_tolerance (final gathering, cornell-boxes). "
+        "The difference on its two sides is, from 1.6 to 4: 4 to 30; 6.25 is acceptable."
     ) in advised
-    assert sum("direct visualisation of cornell-boxes" in sentence for sentence in advised) == 2
-    assert sum("path tracing of cornell-boxes" in sentence for sentence in advised) == 1
+    assert sum("(direct visualisation, cornell-boxes)" in sentence for sentence in advised) == 2
+    assert sum("(path tracing, cornell-boxes)" in sentence for sentence in advised) == 1
 
 
 def test_one_setting_without_a_cliff_is_one_too_many():

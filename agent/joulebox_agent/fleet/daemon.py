@@ -44,7 +44,8 @@ class Daemon:
         self._pauses = Pauses(options.pause_s, options.longest_pause_s)
         scenes = SceneCache(state.scenes, server)
         self.worker = Worker(
-            state, renderer, options, scenes, self._attempts, self.delivery, stop, journal, listener
+            state, renderer, options, scenes, self._attempts, self.delivery, stop, journal, listener,
+            self._readiness.charging,
         )  # fmt: skip
         self._jobs = 0
         self._last_job_s = time.monotonic()
@@ -59,6 +60,7 @@ class Daemon:
             self._work(capabilities)
         finally:
             self.worker.rest()
+            self._readiness.close()
         self._end()
 
     def _work(self, capabilities: dict[str, Any]) -> None:

@@ -11,11 +11,11 @@ from joulebox_agent.sources.choose import unfit_reason
 
 
 class Readiness:
-    """Asked before every lease; keeps a battery in its band where a battery is the source."""
+    """Asked before every lease; `charging` keeps a battery in its band where a battery is the source, else None."""
 
     def __init__(self, options: RunOptions, delivery: Delivery, journal: Journal) -> None:
         self._options, self._delivery, self._journal = options, delivery, journal
-        self._charging = _charging(options)
+        self.charging = _charging(options)
         self._job_share = 0.0  # of the battery, what the dearest job so far took
 
     def why_not(self) -> str | None:
@@ -25,9 +25,9 @@ class Readiness:
             return "a result waits in memory because the spool's disk is full"
         if not spool.room():
             return f"less than 64 MiB are free on the disk of {spool.folder}"
-        if self._charging is not None:
+        if self.charging is not None:
             try:
-                reason = self._charging.step(time.monotonic(), self._say, self._job_share)
+                reason = self.charging.step(time.monotonic(), self._say, self._job_share)
             except AgentError as error:  # the hook: a person may have to help
                 reason = str(error).rstrip(".")
             if reason:
@@ -36,13 +36,18 @@ class Readiness:
 
     def share(self) -> float | None:
         """Charge of the battery as a share of full; None without one, or where another source is used."""
-        return None if self._charging is None else self._charging.share()
+        return None if self.charging is None else self.charging.share()
 
     def took(self, before: float | None) -> None:
         """A job is done that began at this share: the dearest so far decides when to charge."""
         after = self.share()
         if before is not None and after is not None:
             self._job_share = max(self._job_share, before - after)
+
+    def close(self) -> None:
+        """Nobody asks any more."""
+        if self.charging is not None:
+            self.charging.let_go(self._say)
 
     def _say(self, text: str) -> None:
         self._journal.say("charging", text)
@@ -51,5 +56,5 @@ class Readiness:
 def _charging(options: RunOptions) -> Charging | None:
     if options.source != "auto" and not options.source.startswith("battery"):
         return None
-    charging = Charging(options.charge_band, options.sysfs_root, options.source, options.charge_hook)
+    charging = Charging(options.charge_band, options.sysfs_root, options.source, options.charge_hook, waits=False)
     return charging if charging.share() is not None else None

@@ -27,6 +27,7 @@ from joulebox_agent.fleet.state import StateDir
 from joulebox_agent.fleet.stopping import Stop
 from joulebox_agent.kept import KeptRenderer
 from joulebox_agent.measuring.calibrating import calibration_for, companion_of
+from joulebox_agent.measuring.charging import Charging
 from joulebox_agent.measuring.ledger import StageLedger
 from joulebox_agent.measuring.measure import Measurement
 from joulebox_agent.measuring.meter import Listener, StoppedError
@@ -54,7 +55,9 @@ class Worker:
         stop: Stop,
         journal: Journal,
         listener: Callable[[], ShownListener],
+        charging: Charging | None = None,
     ) -> None:
+        self._charging = charging
         self._state, self._renderer, self._options, self._scenes = state, renderer, options, scenes
         self._attempts, self._delivery, self._stop = attempts, delivery, stop
         self._journal, self._listener = journal, listener
@@ -107,7 +110,7 @@ class Worker:
             job = self._job(lease, folder, Path(scratch))
             root = self._options.sysfs_root
             measurement = Measurement(
-                job, rule, choice, listener, self._stop.at_once, root,
+                job, rule, choice, listener, self._stop.at_once, root, charging=self._charging,
                 make_loop=self._kept, leave=self._stop.asked, companion=companion_of(choice, root),
             )  # fmt: skip
             record = measurement.run()

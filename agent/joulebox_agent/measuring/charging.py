@@ -39,6 +39,10 @@ class Band:
             raise UsageError(f"The charge band {text!r} must be two percentages, the higher first, as in 90-30.")
         return cls(high, low)
 
+    def words(self) -> str:
+        """As it is written on the command line."""
+        return f"{100 * self.high:g}-{100 * self.low:g}"
+
 
 MEASURING_BAND = Band()
 
@@ -65,10 +69,19 @@ class Charging:
     """Keeps the battery within its band between windows: measures, charges, waits for the cable to go, measures.
 
     hook   a command that is called with `on` to charge and `off` to stop (a smart plug's); None: a person does it
+    waits  whether a session waits for its charges; False: it ends at the lower end with what it has, as one does whose
+           job is only lent to it for a while
     """
 
-    def __init__(self, band: Band, sysfs_root: Path, source: str = "battery_gauge", hook: str | None = None) -> None:
-        self.band, self._root, self._source = band, sysfs_root, source
+    def __init__(
+        self,
+        band: Band,
+        sysfs_root: Path,
+        source: str = "battery_gauge",
+        hook: str | None = None,
+        waits: bool = True,
+    ) -> None:
+        self.band, self.waits, self._root, self._source = band, waits, sysfs_root, source
         try:
             self._hook = shlex.split(hook) if hook else None
         except ValueError as error:
@@ -89,6 +102,14 @@ class Charging:
         share = self.share()
         return self._charging or (share is not None and share - reserve <= self.band.low)
 
+    def used_up(self) -> str:
+        """That the band's lower end is reached, as the beginning of a reason."""
+        return f"the charge is {self.share() or 0.0:.0%}, the lower end of its band {self.band.words()} %,"
+
+    def from_full(self, share: object) -> bool:
+        """Whether whoever began at this charge had all of the band to use."""
+        return isinstance(share, float) and share >= self.band.high - WORTH_A_START
+
     def plugged(self) -> bool:
         """Whether a cable is online now, or the battery charges."""
         return unfit_reason(self._source, self._root) is not None
@@ -108,18 +129,26 @@ class Charging:
     def charge(self, meter: Meter) -> None:
         """Waits for a charge up to the band's upper end, then for a discharge. Raises StoppedError, AgentError."""
         said = ""
-        while (reason := self.step(meter.clock.now_s(), meter.listener.note)) is not None:
-            meter.check_stop()
-            if not self._charging and reason != said:
-                said = reason
-                meter.listener.note(f"waiting for a discharge: {reason}")
-            meter.pause(LOOK_EVERY_S)
+        try:
+            while (reason := self.step(meter.clock.now_s(), meter.listener.note)) is not None:
+                meter.check_stop()
+                if not self._charging and reason != said:
+                    said = reason
+                    meter.listener.note(f"waiting for a discharge: {reason}")
+                meter.pause(LOOK_EVERY_S)
+        finally:
+            self.let_go(meter.listener.note)
         meter.listener.note(f"discharging from {self.share() or 0.0:.0%}")
 
     def wait_for_discharge(self, meter: Meter) -> None:
         """Waits until the machine runs from its battery. Raises StoppedError, AgentError."""
         self._unplugging = True
         self.charge(meter)
+
+    def let_go(self, say: Callable[[str], None]) -> None:
+        """Nobody watches the charge from now on: a machine on its cable must not go on draining its battery."""
+        if self._unplugging:
+            self._set_behaviour("auto", say)
 
     def step(self, now_s: float, say: Callable[[str], None], reserve: float = 0.0) -> str | None:
         """Does what is due now and returns why measuring has to wait, or None. Raises AgentError (the hook)."""

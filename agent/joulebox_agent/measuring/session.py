@@ -68,11 +68,13 @@ class Session:
         self._decided = [False] * len(configurations)
         self._given_up: set[int] = set()
         self._estimate = ""
+        self._began_share: object = None
         self.drift: Drift | None = None
 
     def run(self) -> list[Recording]:
         """Measures. Raises RendererError, StoppedError; what is void is returned as such."""
         before = self._meter.conditions()
+        self._began_share = before.get("battery_charge_share")
         if self._journal is not None:
             self._journal.resume(self.records, self._meter)
             for index in range(len(self.records)):
@@ -138,7 +140,8 @@ class Session:
         configuration, record = self._configurations[index], self.records[index]
         enough = self._enough(index)
         while not record.void and not self._trouble_ends_it():
-            self._charge_if_low()
+            if not self._charged(index):
+                return
             note = self._meter.cool_down(self._course.cool_to_c)
             if note:
                 record.note(note)
@@ -247,7 +250,7 @@ class Session:
         if trouble is None:
             return False
         self._look_back()
-        if self._charging is not None and self._charging.plugged():
+        if self._charging is not None and self._charging.waits and self._charging.plugged():
             self._pause_sampling(self._charging.wait_for_discharge)
             return False
         several = len(self.records) > 1
@@ -261,11 +264,23 @@ class Session:
     def _low(self) -> bool:
         return self._charging is not None and self._charging.must_charge()
 
-    def _charge_if_low(self) -> None:
-        if self._charging is not None and self._charging.must_charge():
-            self._look_back()
-            self._commit()
+    def _charged(self, index: int) -> bool:
+        """Waits for a charge where one is due; False where nobody waits for it and the configuration ends."""
+        if self._charging is None or not self._charging.must_charge():
+            return True
+        self._look_back()
+        self._commit()
+        if self._charging.waits:
             self._pause_sampling(self._charging.charge)
+            return True
+        record, done = self.records[index], len(self.records[index].windows)
+        words = f"{self._charging.used_up()} after {done} of {self._wanted[index]} windows"
+        self._given_up.add(index)
+        if done >= self._rule.min_windows:
+            record.note(words)
+        else:  # after a whole charge the next one would not do either
+            record.make_void(words, environment=not self._charging.from_full(self._began_share))
+        return False
 
     def _pause_sampling(self, wait: Callable[[Meter], None]) -> None:
         self._meter.stop()

@@ -200,10 +200,10 @@ class Visit:
             self._void_in_a_row = 0
             self._open = Window(window.end_s)
         wrote = self._on_window()
-        if self._low():
-            self._leave(window.end_s, "low charge")
-        elif reason is None and self._enough():
+        if reason is None and self._enough():
             self._leave(window.end_s, "enough")
+        elif self._low():
+            self._leave(window.end_s, "low charge")
         elif wrote:
             self._open = None  # that took a moment: the image in progress is not worth its risk
 

@@ -76,9 +76,10 @@ def thesis(
 
 def _run(study: "Study", chosen: "list[Batch]", token: str | None, scenes: Path | None, *, quiet: bool) -> None:
     from joulebox_server.thesis import discharge
+    from joulebox_server.thesis.following import Follower
     from joulebox_server.thesis.local import Local, agent_program
     from joulebox_server.thesis.pages import tiles_of
-    from joulebox_server.thesis.study import Follower, scene_folder
+    from joulebox_server.thesis.study import scene_folder
 
     folder = scene_folder(scenes)
     with contextlib.ExitStack() as stack:
@@ -92,6 +93,7 @@ def _run(study: "Study", chosen: "list[Batch]", token: str | None, scenes: Path 
             local = stack.enter_context(Local(study.folder, agents, study.source if study.metered else "none"))
             connection, check = local.connection, local.check
         if not study.quick and not quiet:
+            study.send_scenes(chosen, connection, folder)
             low_s, high_s = study.expected_s(chosen, connection)
             typer.echo(f"about {low_s / 3600:.1f} to {high_s / 3600:.1f} hours on one device", err=True)
         study.run(chosen, connection, folder, Follower(show, check))

@@ -2,7 +2,6 @@
 
 import hashlib
 import html
-import re
 import shlex
 from functools import lru_cache
 from pathlib import Path
@@ -11,6 +10,8 @@ from urllib.parse import quote, urlsplit
 
 from fastapi import APIRouter, Response
 from fastapi.responses import FileResponse, HTMLResponse
+from packaging.utils import InvalidWheelFilename, parse_wheel_filename
+from packaging.version import Version
 
 from joulebox_server.errors import NotFoundError
 from joulebox_server.problems import told
@@ -18,28 +19,38 @@ from joulebox_server.services import ServicesOf
 from joulebox_server.settings import is_loopback
 
 PACKAGES: Final = ("joulebox-agent", "joulebox-render")
-WHEEL: Final = re.compile(r"joulebox_(agent|render)-[A-Za-z0-9_.+!]+-[A-Za-z0-9_.]+-[A-Za-z0-9_.]+-[A-Za-z0-9_.]+\.whl")
+ENVIRONMENT: Final = "~/.joulebox"
+"""The device's own folder for them: most systems refuse packages beside their own (PEP 668)."""
 
 # Open to all: a device has no token before it joins, and there is nothing secret in a program.
 router = APIRouter(tags=["wheels"])
 
 
-def wheels_in(folder: Path | None) -> list[Path]:
-    """The agent's and the renderer's wheels of a folder, by name; none without a folder."""
-    if folder is None or not folder.is_dir():
-        return []
-    return sorted(path for path in folder.iterdir() if WHEEL.fullmatch(path.name) and path.is_file())
+def wheels_in(folder: Path | None) -> dict[Path, tuple[str, Version]]:
+    """The agent's and the renderer's wheels of a folder, by name, each with its package and version; {} without one."""
+    wheels = {}
+    for path in sorted(folder.glob("*.whl")) if folder is not None else ():
+        try:
+            package, version, _, _ = parse_wheel_filename(path.name)
+        except InvalidWheelFilename:
+            continue
+        if package in PACKAGES and path.is_file():
+            wheels[path] = str(package), version
+    return wheels
 
 
 def join_command(folder: Path | None, url: str, code: str) -> str:
     """One line for a device's shell: install the agent and the renderer, enrol, look at the energy sources."""
     steps = [f"joulebox-agent enroll --server {shlex.quote(url)} --code {code}", "joulebox-agent doctor"]
-    if wheels_in(folder):
-        words = ["python3", "-m", "pip", "install", "--find-links", f"{url}/wheels/", *PACKAGES]
+    newest = dict(sorted(wheels_in(folder).values()))
+    if len(newest) == len(PACKAGES):
+        words = ["python3", "-m", "pip", "install", "--find-links", f"{url}/wheels/"]
         host = urlsplit(url).hostname or ""
         if url.startswith("http://") and not is_loopback(host):
             words[4:4] = ["--trusted-host", host]  # pip passes over plain addresses of other machines otherwise
-        steps.insert(0, shlex.join(words))
+        # Exactly these versions: pip looks at its public index too, where a stranger's could claim to be newer.
+        words += [f"{package}=={newest[package]}" for package in PACKAGES]
+        steps[:0] = [f"python3 -m venv {ENVIRONMENT}", f". {ENVIRONMENT}/bin/activate", shlex.join(words)]
     return " && ".join(steps)
 
 

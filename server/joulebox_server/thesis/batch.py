@@ -12,6 +12,7 @@ from typing import Any, Literal
 from joulebox_server.analysis.intervals import Interval
 from joulebox_server.reports.document import Table
 from joulebox_server.thesis.results import Results
+from joulebox_server.thesis.rows import AGAIN
 
 Verdict = Literal["holds", "fails", "unclear"]
 Basis = Literal["measured", "replayed", "time"]
@@ -35,7 +36,8 @@ settings becomes the sweep's."""
 class Plan:
     """How thorough a run is.
 
-    quick    one render a configuration, CPU seconds as the proxy of joules, smaller pictures where a batch is dear
+    quick    CPU seconds as the proxy of joules, smaller pictures where a batch is dear, and one render a
+             configuration but for those that a claim compares
     """
 
     quick: bool
@@ -43,6 +45,13 @@ class Plan:
     def pick(self, quick: Any, full: Any) -> Any:
         """The first in a quick run, the second in a full one."""
         return quick if self.quick else full
+
+
+def again(sweep: Sweep, repeats: int, changes: Sequence[Mapping[str, Any]] | None = None) -> Sweep:
+    """A sweep's configurations, or some of them, with so many further seeds: a rule is not decided by one render."""
+    chosen = sweep["configurations"] if changes is None else [dict(changed) for changed in changes]
+    further = {"settings": sweep["settings"] | {"seed": 1}, "repeats": repeats, "configurations": chosen}
+    return sweep | further | {"name": sweep["name"] + AGAIN}
 
 
 @dataclass(frozen=True)

@@ -28,15 +28,17 @@ from joulebox_server.thesis.beyond_points import (
     threaded,
 )
 from joulebox_server.thesis.claims import claims_of
-from joulebox_server.thesis.judging import between, every, finding, ratio, told
+from joulebox_server.thesis.judging import between, every, finding, ratio, saving, told, told_share
 from joulebox_server.thesis.ratings import limit_of
 from joulebox_server.thesis.results import MissingError, Point, Results, compared
-from joulebox_server.thesis.scatter import interval_of
+from joulebox_server.thesis.scatter import COST, DIFFERENCE
 
 
 def _better(on: Point, off: Point, most_cost: float, least_gain: float, what: str) -> Finding:
     """Whether the picture is better by so much at most so much more cost."""
-    apart, cost = ratio(compared(on), compared(off)), ratio(on.cost, off.cost)
+    # seed by seed: with and without it an image has the same photons
+    apart = on.over(off, DIFFERENCE) or ratio(compared(on), compared(off))
+    cost = on.over(off, COST) or ratio(on.cost, off.cost)
     verdict = every([between(apart, high=least_gain), between(cost, high=most_cost)])
     return finding(
         apart, verdict, f"{what} costs {told(cost)} times as much as without; its difference over that without"
@@ -61,7 +63,8 @@ def _importance(results: Results) -> Finding:
 
 def _hints(results: Results) -> Finding:
     on, off = (hinted(results, on=value) for value in (True, False))
-    apart, whole = ratio(compared(on), compared(off)), ratio(on.stage("photon_map"), off.stage("photon_map"))
+    apart = on.over(off, DIFFERENCE) or ratio(compared(on), compared(off))
+    whole = ratio(on.stage("photon_map"), off.stage("photon_map"))
     stored = [_stored(point) for point in (on, off)]
     each = whole.scaled(stored[1] / stored[0])
     verdict = every([between(each, high=0.5), between(apart, high=1.1)])
@@ -132,7 +135,7 @@ def _race(results: Results) -> Finding:
     if len(found) != len(THREADS):
         raise MissingError("not every number of threads was rendered")
     one, two = (found[n] for n in THREADS)
-    cost, time = ratio(two.cost, one.cost), ratio(wall_time(two), wall_time(one))
+    cost, time = ratio(two.cost, one.cost), ratio(two.time, one.time)
     words = f"the time is {told(time)} times one thread's; the cost in {results.unit} over one thread's"
     verdict = between(cost, high=0.95)
     if results.basis == "time":
@@ -140,11 +143,6 @@ def _race(results: Results) -> Finding:
         made = finding(cost, "unclear", words)
         return Finding(made.value, made.unit, made.verdict, made.words, why)
     return finding(cost, verdict, words)
-
-
-def wall_time(point: Point) -> Interval:
-    """Seconds from an image's first photon to its last pixel."""
-    return interval_of([row.image.time_s for row in point.rows], point.scatters.cost)
 
 
 CLAIMS = claims_of(
@@ -192,7 +190,7 @@ def _combined_lines(results: Results) -> quantities.Series:
 
 def _threads(results: Results) -> Spec | None:
     rows = [figures.value(str(n), point.cost, f"cost [{results.unit}]") for n, point in threaded(results)]
-    rows += [figures.value(str(n), wall_time(point), "time [s]") for n, point in threaded(results)]
+    rows += [figures.value(str(n), point.time, "time [s]") for n, point in threaded(results)]
     return figures.lines(rows, "threads", f"of an image [{results.unit}; s]")
 
 
@@ -209,18 +207,20 @@ FIGURES = (
            f"The reference is path tracing too, with many more paths than {PATHS[-1]} a pixel: it is no friend of "
            "photon mapping's bias.", quantities.trade_off(_path_lines, "method")),
     Figure("beyond-combined", "Settings alone and together", "", quantities.trade_off(_combined_lines, "setting")),
-    Figure("beyond-threads", "Cost and time over threads", "The picture is the same.", _threads),
+    Figure("beyond-threads", "Cost and time over threads", "The picture is the same. In a quick run another image is "
+           "rendered beside it all the time, so a second thread has no core of its own to be faster on.", _threads),
 )  # fmt: skip
 
 
 def advice(results: Results) -> list[str]:
     """What is worth switching on, and what all savings come to together."""
     whole, reference = combined(results, COMBINED), results.reference("beyond-combined")
-    saved = 1 - whole.cost.value / reference.cost.value
-    within = "within" if compared(whole).value <= limit_of(whole) else "beyond"
+    limit = limit_of(whole)
+    within = "acceptable" if compared(whole).value <= limit else "beyond what is acceptable"
     return [
-        f"All savings of final gathering together ({', '.join(SINGLES)}) save {saved:.0%} of the reference's cost, at "
-        f"a difference {within} the acceptable one."
+        f"To begin with: final gathering with {', '.join(SINGLES)}. Together they save "
+        f"{told_share(saving(whole.cost, reference.cost))} of what the thesis' reference costs, at a difference of "
+        f"{told(compared(whole))} where {figure(limit)} is acceptable: {within}."
     ]
 
 

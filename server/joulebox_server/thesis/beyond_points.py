@@ -30,7 +30,8 @@ MAPPED: Mapping[str, Mapping[str, Any]] = {
     "direct visualisation": {"indirect": "direct_visualization"},
 }
 """Photon mapping that is set beside path tracing: the renderer's defaults but for these."""
-SHORT = {"window_s": 0.05, "min_windows": 1, "max_windows": 1, "meter": "none"}
+LONGER = {"window_s": 1.0, "min_windows": 1, "max_windows": 1, "meter": "none"}
+"""How a quick run times threads: over a second of images, since what they add is small."""
 
 
 def sweeps(plan: Plan) -> list[Sweep]:
@@ -49,16 +50,16 @@ def sweeps(plan: Plan) -> list[Sweep]:
     path = {"indirect": "path"}
     witness = [{**path, "samples_per_pixel": n} for n in PATHS] + [dict(changed) for changed in MAPPED.values()]
     singles: list[dict[str, Any]] = [dict(changed) for changed in [*SINGLES.values(), COMBINED]]
+    threads = _sweep(plan, "beyond-threads", "cornell-boxes", [{"threads": n} for n in THREADS], {}, repeats)
     thesis = {name: value for name, value in THESIS.items() if name != "preset"}
     return [
-        _sweep(plan, "beyond-gather", "cornell-boxes", gather, GOOD, repeats),
-        _sweep(plan, "beyond-importance", "veach-door", importance, GOOD, repeats),
-        _sweep(plan, "beyond-hints", "caustic-ring", hints, {**GOOD, "indirect": "none"}, repeats),
+        _sweep(plan, "beyond-gather", "cornell-boxes", gather, GOOD, 8),
+        _sweep(plan, "beyond-importance", "veach-door", importance, GOOD, 10),
+        _sweep(plan, "beyond-hints", "caustic-ring", hints, {**GOOD, "indirect": "none"}, 10),
         _sweep(plan, "beyond-path", "cornell-boxes", witness, {**path, "samples_per_pixel": paths}, repeats),
         _sweep(plan, "beyond-combined", "cornell-boxes", singles, ELSEWHERE, repeats, {**thesis, **ELSEWHERE,
                "preset": "reference"}),
-        # timed for as long as other batches' pictures, since what threads add is small
-        _sweep(plan, "beyond-threads", "cornell-boxes", [{"threads": n} for n in THREADS], {}, repeats, short=False),
+        threads | ({"measure": LONGER} if plan.quick else {}),
     ]  # fmt: skip
 
 
@@ -70,11 +71,9 @@ def _sweep(
     reference: Mapping[str, Any],
     repeats: int,
     base: Mapping[str, Any] | None = None,
-    *,
-    short: bool = True,
 ) -> Sweep:
     side = plan.pick(64, 256)
-    sweep: Sweep = {
+    return {
         "name": name,
         "scenes": [scene],
         "settings": {**(base or {}), "width": side, "height": side},
@@ -85,7 +84,6 @@ def _sweep(
         "reference": {"settings": {**reference, "global_photons": reference.get("global_photons", 100_000)},
                       "seed_policy": "other"},
     }  # fmt: skip
-    return sweep | ({"measure": SHORT} if plan.quick and short else {})
 
 
 def gathered(results: Results, **settings: Any) -> Point:

@@ -3,11 +3,13 @@
 import statistics
 
 from joulebox_server.analysis.intervals import exactly
+from joulebox_server.analysis.words import figure
 from joulebox_server.thesis import figures, quantities
 from joulebox_server.thesis.batch import Batch, Figure, Rated, Spec, Tile
 from joulebox_server.thesis.dv_claims import CLAIMS
 from joulebox_server.thesis.dv_points import BOXES, ELSEWHERE, SCENES, SPHERES, line, sweeps
-from joulebox_server.thesis.judging import told
+from joulebox_server.thesis.judging import saving, told, told_share
+from joulebox_server.thesis.ratings import limit_of
 from joulebox_server.thesis.results import Point, Results, compared
 
 
@@ -100,23 +102,29 @@ FIGURES = (
 
 
 def advice(results: Results) -> list[str]:
-    """What direct visualisation's settings are worth, from this run."""
+    """What direct visualisation's settings are worth, from this run: a value is advised that surely saves."""
+    reference = results.reference(f"dv-{BOXES}", BOXES)
     found = []
+    floor, limit = results.floor(f"dv-{BOXES}", BOXES), limit_of(reference)
+    if floor is not None and floor > limit:
+        found.append(
+            f"Direct visualisation shows the noise of its photons: another seed of its reference already differs by "
+            f"{figure(floor)}, where {figure(limit)} is acceptable. Prefer final gathering."
+        )
     for name, what in (("global_photons", "photons"), ("gather_distance_m", "gather distance"),
                        ("gather_count", "gather count")):  # fmt: skip
-        points = [(x, p) for x, p in line(results, BOXES, name) if p.difference and p.difference.value <= 100]
-        if points:
-            x, cheapest = min(points, key=lambda pair: pair[1].cost.value)
-            reference = results.reference(f"dv-{BOXES}", BOXES)
-            saved = 1 - cheapest.cost.value / reference.cost.value
-            paid = (
-                f"saves {saved:.0%} of the reference's cost"
-                if saved > 0
-                else f"costs {-saved:.0%} more than the reference"
-            )
+        points = [(x, p) for x, p in line(results, BOXES, name) if p.difference and p.difference.value <= limit]
+        cheaper = [(p.cost.value, x, p) for x, p in points if saving(p.cost, reference.cost).low > 0]
+        if cheaper:
+            _, x, best = min(cheaper, key=lambda one: one[0])
             found.append(
-                f"Direct visualisation, {what}: the cheapest value within the acceptable difference is {x:,g}, which "
-                f"{paid} (difference {told(compared(cheapest))})."
+                f"Direct visualisation, {what}: {x:,g} saves {told_share(saving(best.cost, reference.cost))} of the "
+                f"reference's cost, at a difference of {told(compared(best))}."
+            )
+        elif points:
+            found.append(
+                f"Direct visualisation, {what}: leave it at {ELSEWHERE[name]:,g}. No other value that was tried surely "
+                "costs less and keeps the difference acceptable."
             )
     return found
 

@@ -23,6 +23,7 @@ from joulebox_server.thesis.judging import (
     largest,
     ratio,
     rises,
+    saving,
     share,
     smallest,
     told,
@@ -114,8 +115,7 @@ def _no_trade_off(results: Results) -> Finding:
 
 def _modest(results: Results) -> Finding:
     fewer, reference = _photons(results, BOXES, 175_000, REFERENCE_PHOTONS)
-    left = ratio(fewer.cost, reference.cost)
-    saved = difference(exactly(1.0), left)
+    saved = saving(fewer.cost, reference.cost)
     return finding(saved, between(saved, 0.0, 0.25), "share of the cost that 175k photons save, on boxes")
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from joulebox_server.thesis.batch import THESIS, Plan, Sweep
+from joulebox_server.thesis.batch import THESIS, Plan, Sweep, again
 from joulebox_server.thesis.results import Point, Results, along
 
 SCENES = ("cornell-boxes", "cornell-spheres")
@@ -30,15 +30,18 @@ BASE: dict[str, Any] = {
 
 
 def sweeps(plan: Plan) -> list[Sweep]:
-    """One setting at a time about the reference, for both scenes; and a few settings over seeds."""
+    """One setting at a time about the reference, for both scenes; a quick run renders what is compared again."""
     changes: list[dict[str, Any]] = [{"global_photons": count} for count in (REFERENCE_PHOTONS, *PHOTONS, MOST_PHOTONS)]
     changes += [{"gather_distance_m": factor * DISTANCE_M} for factor in DISTANCES]
     changes += [{"gather_count": count} for count in COUNTS]
     size = {"width": 256, "height": 256}
-    each = [_sweep(f"dv-{scene}", scene, BASE | size, changes) for scene in SCENES]
-    few = [{"global_photons": 175_000}, {"gather_count": 50}]
-    seeds = _sweep("dv-seeds", BOXES, BASE | {"width": 128, "height": 128}, few) | {"repeats": plan.pick(3, 8)}
-    return [*each, seeds | {"controls": 0}]
+    boxes, spheres = (_sweep(f"dv-{scene}", scene, BASE | size, changes) for scene in SCENES)
+    if not plan.quick:
+        return [boxes, spheres]
+    # ratings look at every step of the boxes, claims at these of the spheres
+    photons: list[dict[str, Any]] = [{"global_photons": n} for n in (50_000, 100_000, REFERENCE_PHOTONS, MOST_PHOTONS)]
+    ends = [{"gather_distance_m": factor * DISTANCE_M} for factor in (DISTANCES[0], DISTANCES[-1])]
+    return [boxes, spheres, again(boxes, 5), again(spheres, 5, [*photons, *ends])]
 
 
 def _sweep(name: str, scene: str, settings: dict[str, Any], changes: Sequence[dict[str, Any]]) -> Sweep:

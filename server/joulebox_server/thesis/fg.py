@@ -6,7 +6,7 @@ from joulebox_server.thesis import quantities
 from joulebox_server.thesis.batch import Batch, Figure, Rated, Tile
 from joulebox_server.thesis.fg_claims import CLAIMS, STEPS
 from joulebox_server.thesis.fg_points import FEWER_PHOTONS, REFERENCE_PHOTONS, SCENE, at, line, sized, sweeps
-from joulebox_server.thesis.judging import told
+from joulebox_server.thesis.judging import saving, told, told_share
 from joulebox_server.thesis.ratings import limit_of
 from joulebox_server.thesis.results import Results, at_256, compared
 
@@ -70,11 +70,11 @@ def advice(results: Results) -> list[str]:
     found = []
     for words, changed in STEPS.items():
         point = at(results, **changed)
-        saved = 1 - point.cost.value / reference.cost.value
-        if compared(point).value <= limit_of(point):
-            found.append((saved, f"Final gathering: {words} saves {saved:.0%} of the reference's cost and differs by "
-                                 f"{told(at_256(point))} at 256x256, where 100 is acceptable."))  # fmt: skip
-    return [sentence for saved, sentence in sorted(found, reverse=True) if saved > 0]
+        saved = saving(point.cost, reference.cost)
+        if compared(point).value <= limit_of(point) and saved.low > 0:
+            found.append((saved.value, f"Final gathering: {words} saves {told_share(saved)} of the reference's cost, "
+                                       f"at a difference of {told(at_256(point))} scaled to 256x256."))  # fmt: skip
+    return [sentence for _, sentence in sorted(found, reverse=True)]
 
 
 BATCH = Batch(

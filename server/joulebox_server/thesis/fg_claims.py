@@ -3,11 +3,22 @@
 from itertools import pairwise
 from typing import Any
 
-from joulebox_server.analysis.intervals import Interval, exactly
+from joulebox_server.analysis.intervals import Interval
 from joulebox_server.thesis.batch import Finding, Verdict
 from joulebox_server.thesis.claims import claims_of
 from joulebox_server.thesis.fg_points import FEWER_PHOTONS, REFERENCE_PHOTONS, at
-from joulebox_server.thesis.judging import between, difference, every, finding, largest, ratio, share, smallest, told
+from joulebox_server.thesis.judging import (
+    between,
+    difference,
+    every,
+    finding,
+    largest,
+    ratio,
+    saving,
+    share,
+    smallest,
+    told,
+)
 from joulebox_server.thesis.results import Point, Results, at_256
 
 
@@ -32,7 +43,7 @@ STEPS: dict[str, dict[str, Any]] = {
 def _saved_per_unit(results: Results, point: Point) -> Interval:
     """Cost saved a unit of difference at 256x256, of the reference's cost; a difference counts as 1 at least."""
     units = at_256(point)
-    saved = difference(exactly(1.0), ratio(point.cost, at(results).cost))
+    saved = saving(point.cost, at(results).cost)
     low, high = max(units.low, 1.0), max(units.high, 1.0)
     ends = [bound / unit for bound in (saved.low, saved.high) for unit in (low, high)]
     middle = saved.value / max(units.value, 1.0)
@@ -56,7 +67,7 @@ def _spacing_cost(results: Results) -> Finding:
     for photons in (REFERENCE_PHOTONS, FEWER_PHOTONS):
         none, one, four, eight = (at(results, photon_spacing=n, global_photons=photons).cost for n in (0, 1, 4, 8))
         verdicts += [between(ratio(one, other), low=1.0) for other in (four, eight, none)]
-        saved[photons] = difference(exactly(1.0), ratio(eight, none))
+        saved[photons] = saving(eight, none)
         verdicts.append(between(saved[photons], low=0.0))
     words = f"every 8th saves {told(saved[FEWER_PHOTONS])} of the cost at 100k photons, and at 250k"
     return finding(saved[REFERENCE_PHOTONS], every(verdicts), words)
@@ -76,7 +87,7 @@ def _spacing_difference(results: Results) -> Finding:
 
 def _tolerance_cost(results: Results) -> Finding:
     fine, some, more, most = (at(results, irradiance_cache_tolerance=value).cost for value in (0.02, 0.1, 0.15, 0.3))
-    saved = difference(exactly(1.0), ratio(some, fine))
+    saved = saving(some, fine)
     levels = ratio(difference(more, most), difference(fine, more))
     verdict = every([between(saved, low=1 / 3), between(levels, high=0.2)])
     words = f"0.15 to 0.3 saves {told(levels)} of what 0.02 to 0.15 does; share of the cost that 0.1 saves"
@@ -90,7 +101,7 @@ def _tolerance_difference(results: Results) -> Finding:
 
 def _rays_cost(results: Results) -> Finding:
     few, some, many = (at(results, final_gather_rays=count).cost for count in (16, 144, 256))
-    times, saved = ratio(many, few), difference(exactly(1.0), ratio(some, many))
+    times, saved = ratio(many, few), saving(some, many)
     verdict = every([between(times, 3, 5), between(saved, low=0.2)])
     return finding(times, verdict, f"144 rays save {told(saved)} of the cost; cost of 256 over 16")
 

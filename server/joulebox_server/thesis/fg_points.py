@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from joulebox_server.thesis.batch import THESIS, Plan, Sweep
+from joulebox_server.thesis.batch import THESIS, Plan, Sweep, again
 from joulebox_server.thesis.results import Point, Results, along, only
 
 SCENE = "cornell-spheres"
@@ -28,18 +28,20 @@ BASE: dict[str, Any] = {
 
 
 def sweeps(plan: Plan) -> list[Sweep]:
-    """One setting at a time about the reference, spacing at 100k photons too; and a few settings over seeds."""
-    # the first is the control of the sweep: cheap, and like the others
-    changes: list[dict[str, Any]] = [{"irradiance_cache_tolerance": 0.3}]
-    changes += [{"irradiance_cache_tolerance": value} for value in TOLERANCES]
+    """One setting at a time about the reference, spacing at 100k photons too; a quick run renders some again."""
+    # the first is the control of a full run: cheap, and like the others
+    changes: list[dict[str, Any]] = [{"irradiance_cache_tolerance": value} for value in reversed(TOLERANCES)]
     changes += [{"final_gather_rays": count} for count in RAYS]
     changes += [{"photon_spacing": n} for n in SPACINGS]
     changes += [{"photon_spacing": n, "global_photons": FEWER_PHOTONS} for n in SPACINGS]
     changes += [{"global_photons": count} for count in PHOTONS]
     side = plan.pick(128, 256)
-    few: list[dict[str, Any]] = [{"irradiance_cache_tolerance": 0.1}, {"final_gather_rays": 64}]
-    seeds = _sweep("fg-seeds", 64, few) | {"repeats": plan.pick(3, 8), "controls": 0}
-    return [_sweep("fg", side, changes), seeds]
+    sweep = _sweep("fg", side, changes)
+    if not plan.quick:
+        return [sweep]
+    few: list[dict[str, Any]] = [{"irradiance_cache_tolerance": value} for value in (0.1, 0.15, 0.3)]
+    few += [{"final_gather_rays": count} for count in RAYS]
+    return [sweep, again(sweep, 2, few)]
 
 
 def _sweep(name: str, side: int, changes: list[dict[str, Any]]) -> Sweep:

@@ -4,8 +4,8 @@ import math
 from collections.abc import Sequence
 from itertools import pairwise
 
+from joulebox_server.analysis import words
 from joulebox_server.analysis.intervals import Interval, exactly
-from joulebox_server.analysis.words import figure
 from joulebox_server.thesis.batch import Finding, Verdict
 from joulebox_server.thesis.results import MissingError
 
@@ -48,6 +48,11 @@ def difference(one: Interval, other: Interval) -> Interval:
     up = math.hypot(one.high - one.value, other.value - other.low)
     down = math.hypot(one.value - one.low, other.high - other.value)
     return Interval(value=value, low=value - down, high=value + up)
+
+
+def saving(cheaper: Interval, dearer: Interval) -> Interval:
+    """The share of a cost that another saves, below 0 where it is the dearer one."""
+    return difference(exactly(1.0), ratio(cheaper, dearer))
 
 
 def total(parts: Sequence[Interval]) -> Interval:
@@ -103,14 +108,20 @@ def rises(values: Sequence[Interval]) -> Verdict:
 
 def told(value: Interval, unit: str = "") -> str:
     """An interval in words: 3.84 J (3.72 to 3.96), 1.2 (0.3 to no bound)."""
-    text = f"{figure(value.value)} {unit}".strip()
-    high = figure(value.high) if bounded(value) else "no bound"
-    return text if value.low == value.high else f"{text} ({figure(value.low)} to {high})"
+    text = f"{words.figure(value.value)} {unit}".strip()
+    high = words.figure(value.high) if bounded(value) else "no bound"
+    return text if value.low == value.high else f"{text} ({words.figure(value.low)} to {high})"
 
 
-def finding(value: Interval, verdict: Verdict, words: str, unit: str = "") -> Finding:
+def told_share(value: Interval) -> str:
+    """A share with its interval, in words: 55 % (31 % to 70 %)."""
+    text = words.share(value.value)
+    return text if value.low == value.high else f"{text} ({words.share(value.low)} to {words.share(value.high)})"
+
+
+def finding(value: Interval, verdict: Verdict, said: str, unit: str = "") -> Finding:
     """A finding whose words get the number."""
-    return Finding(value, unit, verdict, f"{words}: {told(value, unit)}")
+    return Finding(value, unit, verdict, f"{said}: {told(value, unit)}")
 
 
 def _log(one: float, other: float) -> float:

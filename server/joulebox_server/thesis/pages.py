@@ -21,12 +21,15 @@ from joulebox_server.thesis.batch import Batch, Figure, Plan, Tile
 from joulebox_server.thesis.judging import told
 from joulebox_server.thesis.ratings import limit_of, ratings
 from joulebox_server.thesis.results import MissingError, Results
-from joulebox_server.thesis.told import how_told
+from joulebox_server.thesis.told import BASES, how_told
 from joulebox_server.thesis.verdicts import Judged
 
 MOST_FLOORS = 6
 """So many references a batch are told of at once; more are folded away."""
 MISSING = "Not drawn: the results of this run do not hold what it shows."
+FIRST = "beyond"
+"""The batch whose advice comes first: settings that go together, to begin with."""
+SAID = {"holds": "holds", "fails": "fails", "unclear": "stays unclear"}
 
 
 def report_of(
@@ -36,7 +39,7 @@ def report_of(
     everything = [one for batch in batches for one in judged[batch.name]]
     rated = ratings_table(results, batches)
     sections = [
-        Section("What to set", "advice", [Points(advised(results, batches))]),
+        Section("What to set", "advice", [Words(how_to_read(results)), Points(advised(results, batches))]),
         Section("Claims", "claims", [Words(_count(everything), "lede"), claims_table(everything)]),
         *([Section("Ratings of the settings", "ratings", [Words(RATED), rated])] if rated else []),
         *(_batch_section(pictures, results, batch, judged[batch.name]) for batch in batches),
@@ -54,12 +57,18 @@ RATED = (
 
 
 def claims_table(judged: Sequence[Judged]) -> Table:
-    """Every claim on a line."""
+    """Every claim on a line, those of figures by their numbers and first."""
     rows = [
         (one.claim.id, one.claim.claim, one.claim.thesis, one.finding.words, one.basis, one.finding.verdict)
-        for one in judged
+        for one in sorted(judged, key=by_figure)
     ]
     return Table(("id", "claim", "thesis", "ours", "basis", "verdict"), rows, "Claims of the thesis, and what we found")
+
+
+def by_figure(judged: Judged) -> tuple[bool, int]:
+    """To sort claims by: the figure's number; the others come after, and stay as they are."""
+    number = judged.claim.id.removeprefix("fig")
+    return (not number.isdigit(), int(number) if number.isdigit() else 0)
 
 
 def ratings_table(results: Results, batches: Sequence[Batch]) -> Table | None:
@@ -85,7 +94,7 @@ def _batch_section(pictures: Path, results: Results, batch: Batch, judged: Seque
     elif floors:
         blocks.append(Points(floors))
     for one in batch.figures:
-        blocks += _figure_blocks(pictures, results, one)
+        blocks += _figure_blocks(pictures, results, one, " ".join([one.caption, *_said(one, judged)]).strip())
     rules = [(one.claim.id, one.claim.rule, one.finding.verdict, one.why) for one in judged]
     if rules:
         table = Table(("id", "rule, written before the batch was run", "verdict", "why, where it does not hold"), rules)
@@ -93,7 +102,22 @@ def _batch_section(pictures: Path, results: Results, batch: Batch, judged: Seque
     return Section(batch.title, f"batch-{batch.name}", blocks, label=batch.name)
 
 
-def _figure_blocks(pictures: Path, results: Results, one: Figure) -> list[Block]:
+def _said(one: Figure, judged: Sequence[Judged]) -> list[str]:
+    """The claim that a figure is about, and what was found: who reads the figure alone knows what to see in it."""
+    return [
+        f"The thesis: {_lower(found.claim.claim)} ({found.claim.thesis}). Here it {SAID[found.finding.verdict]}: "
+        f"{found.finding.words}."
+        for found in judged
+        if found.claim.id == f"fig{one.number}"
+    ]
+
+
+def _lower(sentence: str) -> str:
+    """To go on after a colon; a word that is a number or a name in capitals stays."""
+    return sentence[0].lower() + sentence[1:] if sentence[1:2].islower() or sentence[1:2] == " " else sentence
+
+
+def _figure_blocks(pictures: Path, results: Results, one: Figure, caption: str) -> list[Block]:
     heading = f"Figure {one.number}. {one.title}."
     try:
         drawn = one.draw(results)
@@ -103,15 +127,15 @@ def _figure_blocks(pictures: Path, results: Results, one: Figure) -> list[Block]
     if drawn is None:
         return [Words(f"{heading} {MISSING}", "notice")]
     if isinstance(drawn, dict):
-        return [Chart(name, drawn, f"{heading} {one.caption}", one.title)]
+        return [Chart(name, drawn, f"{heading} {caption}".strip(), one.title)]
     if isinstance(drawn, Table):
-        return [Words(f"{heading} {one.caption}"), drawn]
+        return [Words(f"{heading} {caption}"), drawn]
     shown = [
         Picture(f"{name}-{number}", (pictures / f"{tile.image_sha256}.png").read_bytes(), tile.caption, tile.caption)
         for number, tile in enumerate(drawn, 1)
         if (pictures / f"{tile.image_sha256}.png").is_file()
     ]
-    return [Words(f"{heading} {one.caption}"), Pictures(shown)] if shown else [Words(f"{heading} {MISSING}", "notice")]
+    return [Words(f"{heading} {caption}"), Pictures(shown)] if shown else [Words(f"{heading} {MISSING}", "notice")]
 
 
 def tiles_of(results: Results, batches: Sequence[Batch]) -> list[Tile]:
@@ -144,10 +168,20 @@ def floors_told(results: Results, batch: Batch) -> list[str]:
     return sentences
 
 
+def how_to_read(results: Results) -> str:
+    """What costs and differences are, for who reads the report alone."""
+    return (
+        f"Costs are {BASES[results.basis]}. A difference says how far a picture is from a dear one of the same scene, "
+        "its reference: 0 is the same picture, and up to 100 at 256x256 pixels (in proportion to the pixels at other "
+        "sizes) it counts as acceptable, which is not to say that it cannot be seen. In brackets: where the true value "
+        "lies with 99 % confidence. A setting that a sentence leaves out stays as the reference has it."
+    )
+
+
 def advised(results: Results, batches: Sequence[Batch]) -> list[str]:
     """What the batches advise to set; one whose points are not all there advises nothing."""
     sentences: list[str] = []
-    for batch in batches:
+    for batch in sorted(batches, key=lambda batch: batch.name != FIRST):
         with contextlib.suppress(MissingError):
             sentences += batch.advice(results)
     return sentences or ["The results of this run do not tell yet."]

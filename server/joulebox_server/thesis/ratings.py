@@ -48,7 +48,7 @@ def _observations(points: Sequence[Point]) -> list[Observation]:
         Observation(
             configuration_id=str(number),
             settings=row.settings,
-            repeat=row.repeat,
+            repeat=row.seed,  # what renders a sweep again counts its repeats from 0 too
             seed=row.seed,
             time_s=exactly(row.image.on(point.basis)),
             cpu_s=exactly(row.image.cpu_s),

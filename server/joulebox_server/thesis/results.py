@@ -8,8 +8,8 @@ from typing import Any
 
 from joulebox_server.analysis.intervals import Interval
 from joulebox_server.thesis.discharge import Discharge
-from joulebox_server.thesis.rows import CostBasis, Purpose, Row, configuration_key
-from joulebox_server.thesis.scatter import Scatters, interval_of
+from joulebox_server.thesis.rows import CostBasis, Purpose, Row, base_sweep, configuration_key
+from joulebox_server.thesis.scatter import COST, DIFFERENCE, TIME, Quantity, Scatters, paired, value_of
 
 NOMINAL_PIXELS = 256 * 256
 """Of the pictures that the acceptable difference of 100 is stated for."""
@@ -41,23 +41,35 @@ class Point:
     @property
     def cost(self) -> Interval:
         """Of an image: joules, or CPU seconds on a time basis."""
-        return interval_of([row.image.on(self.basis) for row in self.rows], self.scatters.cost)
+        return self.scatters.interval(self.rows, COST)
+
+    @property
+    def time(self) -> Interval:
+        """Seconds from an image's first photon to its last pixel."""
+        return self.scatters.interval(self.rows, TIME)
 
     def stage(self, *names: str) -> Interval:
         """Cost of one stage, or of several together; 0 where none of them ran."""
-        values = [sum(row.stages[n].on(self.basis) for n in names if n in row.stages) for row in self.rows]
-        return interval_of(values, self.scatters.stage)
+        return self.scatters.interval(self.rows, ("stage", *names))
 
     @property
     def difference(self) -> Interval | None:
         """To the reference; None for a reference, and where it was not compared."""
-        known = [row.difference for row in self.rows if row.difference is not None]
-        return interval_of(known, self.scatters.difference) if known else None
+        known = any(row.difference is not None for row in self.rows)
+        return self.scatters.interval(self.rows, DIFFERENCE) if known else None
 
     @property
     def per_pixel(self) -> Interval | None:
         """The difference a pixel."""
         return self.difference.scaled(1 / self.pixels) if self.difference else None
+
+    def over(self, other: "Point", quantity: Quantity) -> Interval | None:
+        """A quantity over that of another point, seed by seed; None where they share fewer than three seeds."""
+        return paired(self._by_seed(quantity), other._by_seed(quantity))
+
+    def _by_seed(self, quantity: Quantity) -> dict[int, float]:
+        found = ((row.seed, value_of(row, quantity, self.basis)) for row in self.rows)
+        return {seed: value for seed, value in found if value is not None}
 
 
 @dataclass(frozen=True)
@@ -81,17 +93,19 @@ class Results:
         purpose: Purpose | tuple[Purpose, ...] = "measure",
         **settings: Any,
     ) -> list[Point]:
-        """Points of a sweep whose settings are these; a tuple of values takes any of them.
+        """Points of a sweep, and of what rendered it again, whose settings are these; a tuple takes any of its values.
 
         scene      a label, or the beginning of one
         """
         purposes = (purpose,) if isinstance(purpose, str) else purpose
         groups: dict[tuple[str, str], list[Row]] = {}
         for row in self.rows:
-            if row.sweep == sweep and row.purpose in purposes and _fits(row, scene, settings):
+            if base_sweep(row.sweep) == sweep and row.purpose in purposes and _fits(row, scene, settings):
                 groups.setdefault((row.scene, configuration_key(row.settings)), []).append(row)
         scatters = self.scatters
-        return [Point(tuple(group), self.basis, scatters) for group in groups.values()]
+        # the first seed leads: figures show its picture
+        ordered = [sorted(group, key=lambda row: row.seed) for group in groups.values()]
+        return [Point(tuple(group), self.basis, scatters) for group in ordered]
 
     def point(self, sweep: str, scene: str | None = None, purpose: Purpose = "measure", **settings: Any) -> Point:
         """The one point that fits. Raises MissingError for none or several."""
@@ -112,12 +126,12 @@ class Results:
     def floor(self, sweep: str, scene: str | None = None) -> float | None:
         """Difference of the reference to itself at another seed; None where it is not known."""
         found = self.points(sweep, scene, "noise_floor")
-        return found[0].rows[0].difference if found else None
+        return found[0].difference.value if found and found[0].difference else None
 
     @cached_property
     def scatters(self) -> Scatters:
-        """How far single renders of this run scatter, from its control runs and its seeds."""
-        return Scatters.learnt(self.rows, self.basis)
+        """How far renders of this run scatter, from all that it rendered more than once."""
+        return Scatters(self.rows, self.basis)
 
 
 def compared(point: Point) -> Interval:

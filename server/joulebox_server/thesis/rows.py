@@ -11,6 +11,8 @@ from typing import Any, Literal
 Purpose = Literal["measure", "reference", "noise_floor", "control"]
 CostBasis = Literal["measured", "replayed", "time"]
 STAGES = ("photon_map", "direct", "indirect", "caustics")
+AGAIN = "-again"
+"""End of the name of a sweep that renders some configurations of another with further seeds."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,11 @@ class Row:
     def pixels(self) -> int:
         """Pixels of the picture."""
         return int(self.settings["width"]) * int(self.settings["height"])
+
+
+def base_sweep(name: str) -> str:
+    """The sweep whose configurations these are: itself, or the one that it renders again."""
+    return name.removesuffix(AGAIN)
 
 
 def configuration_key(settings: Mapping[str, Any]) -> str:

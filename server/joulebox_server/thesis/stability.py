@@ -265,8 +265,8 @@ def _warning(rated: Rating, limit: float) -> str:
     """Every cliff of one setting, in a sentence."""
     cliffs = "; ".join(_cliff_told(cliff) for cliff in rated.cliffs)
     return (
-        f"Where methods fail: {method_of(rated.setting)} of {LINES_SCENE} falls off a cliff in {rated.setting}, the "
-        f"differences on both sides being, from {cliffs} ({figure(limit)} is acceptable)."
+        f"Where methods fail: stay clear of the cliff of {rated.setting} ({method_of(rated.setting)}, {LINES_SCENE}). "
+        f"The difference on its two sides is, from {cliffs}; {figure(limit)} is acceptable."
     )
 
 

@@ -121,7 +121,7 @@ def _leak_sweep(plan: Plan, name: str, wall_m: str) -> Sweep:
 
 def _sweep(plan: Plan, name: str, scene: Any, base: dict[str, Any], repeats: int) -> Sweep:
     side = plan.pick(SIDE["quick"], SIDE["full"])
-    sweep: Sweep = {
+    return {
         "name": name,
         "scenes": [scene],
         "settings": base | {"width": side, "height": side},
@@ -131,9 +131,6 @@ def _sweep(plan: Plan, name: str, scene: Any, base: dict[str, Any], repeats: int
         "controls": 0,
         "reference": {"settings": GOOD, "seed_policy": "other"},
     }
-    # many short renders: one each is timed, for as long as it takes
-    return sweep | ({"measure": {"window_s": 0.05, "min_windows": 1, "max_windows": 1, "meter": "none"}}
-                    if plan.quick else {})  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -2,18 +2,18 @@
 
 import json
 import os
-import time
 import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from joulebox_server.cli.connection import CommandError, Connection, UnreachableError, WrongUseError, checked
+from joulebox_server.cli.connection import CommandError, Connection, WrongUseError, checked
 from joulebox_server.cli.sweep_file import SCENE_FILE, send_scenes
 from joulebox_server.store.ids import canonical, sha256_text
 from joulebox_server.thesis import discharge
 from joulebox_server.thesis.batch import Batch, Plan, Sweep
+from joulebox_server.thesis.following import Follower
 from joulebox_server.thesis.reading import read_row
 from joulebox_server.thesis.results import Results
 from joulebox_server.thesis.rows import CostBasis, Row
@@ -21,16 +21,11 @@ from joulebox_server.thesis.rows import CostBasis, Row
 STUDY_FILE, ROWS_FILE = "study.json", "rows.ndjson"
 EXPOSURE = 3.0
 """Of the Cornell scenes."""
-QUICK_CONTROLS = 3
 FULL_REPEATS = 3
-TIMED = {"window_s": 1.0, "min_windows": 1, "max_windows": 1, "meter": "none"}
+TIMED = {"window_s": 0.05, "min_windows": 1, "max_windows": 1, "meter": "none"}
 TIMED_AGAIN = {"window_s": 5.0, "min_windows": 3, "max_windows": 3, "max_seconds": 1800.0}
 METERED = {"window_s": 60.0, "min_windows": 3, "max_windows": 10, "max_seconds": 1800.0}
-"""Of a quick run, of a full one where nothing can be metered, and of a full one."""
-ENDED = ("done", "failed", "cancelled")
-POLL_S = 2.0
-PATIENCE = 20
-"""So many unanswered questions in a row before the server is given up: it may be restarting."""
+"""Of a quick run, which times single images, of a full one where nothing can be metered, and of a full one."""
 
 
 @dataclass(frozen=True)
@@ -102,26 +97,24 @@ class Study:
 
     # --- running -------------------------------------------------------------------------------------------
 
-    def run(self, batches: Sequence[Batch], connection: Connection, scenes: Path, follow: "Follower") -> None:
+    def run(self, batches: Sequence[Batch], connection: Connection, scenes: Path, follow: Follower) -> None:
         """Submit the batches' sweeps unless that was done before, wait for their end, keep their rows.
 
         Raises CommandError when a job failed for good, WrongUseError when the folder's sweeps are those of another
         version of the study.
         """
         submitted = {}
+        self.send_scenes(batches, connection, scenes)
         with connection.opened() as client:
-            for batch in batches:
-                for sweep in batch.sweeps(self.plan):
-                    definition = self.definition(sweep)
-                    key = sha256_text(canonical([self.id, definition["name"]]))
-                    sent = send_scenes(client, definition, scenes)
-                    answer = client.post("/v1/sweeps", json=sent, headers={"Idempotency-Key": key})
-                    if answer.status_code == 409:
-                        raise WrongUseError(
-                            f"the sweep {sweep['name']} in {self.folder} was made by another version of the study; "
-                            "start again in a new folder"
-                        )
-                    submitted[sweep["name"]] = checked(answer).json()
+            for sweep in self._sweeps(batches):
+                key = sha256_text(canonical([self.id, sweep["name"]]))
+                answer = client.post("/v1/sweeps", json=self.definition(sweep), headers={"Idempotency-Key": key})
+                if answer.status_code == 409:
+                    raise WrongUseError(
+                        f"the sweep {sweep['name']} in {self.folder} was made by another version of the study; "
+                        "start again in a new folder"
+                    )
+                submitted[sweep["name"]] = checked(answer).json()
         for found in submitted.values():
             if found["state"] == "failed":
                 connection.request("POST", f"/sweeps/{found['id']}:retry-failed")
@@ -138,21 +131,34 @@ class Study:
                 "--report-only writes the report of the rest"
             )
 
+    def send_scenes(self, batches: Sequence[Batch], connection: Connection, scenes: Path) -> None:
+        """Send the server every scene that the batches render, once; it keeps one that it has."""
+        entries = [entry for sweep in self._sweeps(batches) for entry in sweep["scenes"]]
+        names = dict.fromkeys(entry if isinstance(entry, str) else entry["name"] for entry in entries)
+        with connection.opened() as client:
+            send_scenes(client, {"scenes": list(names)}, scenes)
+
     def expected_s(self, batches: Sequence[Batch], connection: Connection) -> tuple[float, float]:
-        """How long the batches take one device, at least and at most [s], by the server's previews."""
+        """How long the batches take one device, at least and at most [s], by the server's previews.
+
+        The server must have their scenes.
+        """
         low_s = high_s = 0.0
-        for batch in batches:
-            for sweep in batch.sweeps(self.plan):
-                time_s = connection.json("POST", "/sweeps:preview", json=self.definition(sweep))["time_s"]
-                low_s, high_s = low_s + time_s["low"], high_s + time_s["high"]
+        for sweep in self._sweeps(batches):
+            time_s = connection.json("POST", "/sweeps:preview", json=self.definition(sweep))["time_s"]
+            low_s, high_s = low_s + time_s["low"], high_s + time_s["high"]
         return low_s, high_s
+
+    def _sweeps(self, batches: Sequence[Batch]) -> list[Sweep]:
+        """All sweeps of the batches, in the order in which they are run."""
+        return [sweep for batch in batches for sweep in batch.sweeps(self.plan)]
 
     def definition(self, sweep: Sweep) -> dict[str, Any]:
         """A batch's sweep with what is the same for all: seeds, exposure, repeats, how to measure, on what."""
         same = {
             "exposure": EXPOSURE,
             "repeats": 1 if self.quick else FULL_REPEATS,
-            "controls": QUICK_CONTROLS if self.quick else 1,
+            "controls": 0 if self.quick else 1,
             "measure": TIMED if self.quick else METERED if self.metered else TIMED_AGAIN,
         }
         settings = ({"threads": 1} if self.quick else {}) | sweep.get("settings", {})
@@ -208,65 +214,6 @@ def basis_of(rows: Sequence[Row]) -> CostBasis:
     if qualities == {"measured"}:
         return "measured"
     return "replayed" if qualities == {"replayed"} else "time"
-
-
-class Follower:
-    """Waits for sweeps and tells how far they are.
-
-    show    called with (finished, total, what is going on) whenever it changes
-    check   raises when what the sweeps depend on has ended
-    """
-
-    def __init__(self, show: Callable[[int, int, str], None], check: Callable[[], None] = lambda: None) -> None:
-        self._show, self._check = show, check
-
-    def until_ended(
-        self, connection: Connection, sweeps: dict[str, str], on_end: Callable[[str], None]
-    ) -> dict[str, dict[str, Any]]:
-        """The summaries of sweeps by name, once all have ended; `on_end` is told the name of each as it does."""
-        told: set[str] = set()
-        while True:
-            summaries = self._asked(connection, set(sweeps.values()))
-            found = {name: summaries[sweep_id] for name, sweep_id in sweeps.items()}
-            for name in sweeps:
-                if found[name]["state"] in ENDED and name not in told:
-                    on_end(name)
-                    told.add(name)
-            doing = next((name for name, s in found.items() if s["jobs"]["leased"]), "")
-            waiting = next((name for name, s in found.items() if s["state"] not in ENDED), "")
-            self._show(
-                sum(s["jobs"]["done"] + s["jobs"]["failed"] + s["jobs"]["cancelled"] for s in found.values()),
-                sum(s["jobs"]["total"] for s in found.values()),
-                doing or (f"{waiting}: comparing or waiting for a device" if waiting else "done"),
-            )
-            if all(s["state"] in ENDED for s in found.values()):
-                return found
-            time.sleep(POLL_S)
-
-    def _asked(self, connection: Connection, wanted: set[str]) -> dict[str, dict[str, Any]]:
-        """Summaries by id. Raises CommandError for a sweep that is gone, UnreachableError for a server that is."""
-        for _ in range(PATIENCE - 1):
-            self._check()
-            try:
-                return _summaries(connection, wanted)
-            except UnreachableError:
-                time.sleep(POLL_S)
-        return _summaries(connection, wanted)
-
-
-def _summaries(connection: Connection, wanted: set[str]) -> dict[str, dict[str, Any]]:
-    """From the list, newest first: one question in place of one a sweep, every time."""
-    found: dict[str, dict[str, Any]] = {}
-    cursor: dict[str, str] = {}
-    with connection.opened() as client:
-        while True:
-            page = checked(client.get("/v1/sweeps", params={"limit": 200, **cursor})).json()
-            found |= {sweep["id"]: sweep for sweep in page["items"] if sweep["id"] in wanted}
-            if len(found) == len(wanted):
-                return found
-            if page["next"] is None:
-                raise CommandError("a sweep of this study was deleted from the server; start again in a new folder")
-            cursor = {"cursor": page["next"]}
 
 
 def scene_folder(given: Path | None) -> Path:

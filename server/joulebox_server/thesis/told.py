@@ -17,7 +17,10 @@ def how_told(results: Results, batches: Sequence[Batch]) -> list[str]:
     """How the run was made, in sentences."""
     told = [f"Costs are {BASES[results.basis]}."]
     if results.quick:
-        told.append("It was a quick run: one render a configuration, and smaller pictures where a batch is dear.")
+        told.append(
+            "It was a quick run: smaller pictures where a batch is dear, and one render a configuration, but for those "
+            "that a claim compares, which have further seeds."
+        )
     present = {row.sweep for row in results.rows}
     planned = [sweep["name"] for batch in batches for sweep in batch.sweeps(Plan(results.quick))]
     absent = [name for name in planned if name not in present]
@@ -33,14 +36,15 @@ def how_told(results: Results, batches: Sequence[Batch]) -> list[str]:
         )
         if spread is not None
     ]
-    many = "Where a configuration has three renders or more, its 99 % interval is Student's t over them. "
     if parts:
         told.append(
-            many + "Where it has one, the scatter of everything in this run that was rendered more than once (control "
-            f"runs, seeds) tells how far it may be off with 99 % confidence: {', '.join(parts)}."
+            "A 99 % interval is learnt from what the same sweep rendered more than once: each configuration's own "
+            "scatter is drawn towards what all of them have in common. Comparisons of a setting with doing without it, "
+            "beyond the thesis, are made seed by seed. Over the whole run, one render may be off with that "
+            f"confidence: {', '.join(parts)}."
         )
     else:
-        told.append(many + "Nothing else was rendered twice, so other intervals have no width and say nothing.")
+        told.append("Nothing was rendered twice, so intervals have no width and say nothing.")
     told.append(
         "Differences are to the batch's reference with the same seed, as in the thesis; the floor is what another seed "
         "of the reference itself gives. Beyond the thesis and where methods fail, the reference has a seed of its own."
