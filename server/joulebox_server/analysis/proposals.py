@@ -24,7 +24,7 @@ def worth_measuring(
 ) -> list[Candidate]:
     """Candidates that were not measured, or not surely enough to fit, by the improvement that measuring each promises.
 
-    chosen      the present answer; None where nothing fits, when whatever would fit is an improvement
+    chosen      the best that was measured and fits; None where nothing is, when whatever would fit is an improvement
     confidence  of each candidate's upper bounds
     """
     margins = _margins(known)

@@ -69,7 +69,9 @@ def recommend(
         fitting = _fitting(terms, predicted, tradeoff.confidence)
     case = Case(tradeoff, terms.axis, terms.budget, terms.limit, told_budget, fitting, measured, predicted)
     chosen = fitting[0] if fitting else None
-    promising = worth_measuring(terms, chosen, [*measured, *predicted], tradeoff.confidence, proposals)
+    # What is only predicted to be best is the first to be measured: it is no answer to improve on yet.
+    sure = next((candidate for candidate in fitting if candidate.point), None)
+    promising = worth_measuring(terms, sure, [*measured, *predicted], tradeoff.confidence, proposals)
     proposed = [_choice(tradeoff, candidate, terms) for candidate in promising]
     if chosen is None:
         return _no_answer(case, terms, measured or predicted, proposed)

@@ -141,6 +141,8 @@ def test_predictions_are_marked_and_measured_points_come_first():
     assert all(c.difference.value < plain.difference.value and c.energy_j.value <= 8 for c in plain.proposals)
     free = recommend(made, budget_j=8, predict=True)
     assert free.difference.high <= plain.difference.high
+    assert free.basis == "predicted"
+    assert free.label in [c.label for c in free.proposals]  # nothing is surer worth a run than what was named untried
     assert recommend(made, budget_j=8, proposals=1).proposals == plain.proposals[:1]
 
 
