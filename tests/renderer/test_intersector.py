@@ -37,19 +37,20 @@ def test_pictures_are_those_of_embree(scene: str, indirect: str) -> None:
     A pixel is off by more where the noise chooses: another photon is the nearest, a path meets the other side of an
     edge. Such choices are of the order of 1e-7 of a path's, but thousands of photons are in a gathered pixel, and a
     feeler that grazes a wall decides for a whole cell: irradiance is not precomputed here. A gather's ray that takes
-    the other side is seen as far as its record reaches: of six seeds of the spheres five had such a record in 4 to 8 %
-    of the picture, which was off by at most 0.09 % of its brightness in the mean; more than half of all pixels are at
-    float32's noise even so. Another seed shows that the measure sees noise.
+    the other side is seen as far as its record reaches, and so is a gather that doubt just has made again: of twelve
+    seeds of the spheres nine had such records, in 4 to 21 % of the picture, which was off by at most 0.3 % of what
+    another seed changes, in the mean; more than half of all pixels are at float32's noise even so.
     """
-    share, mean = (0.1, 1e-3) if indirect == "final_gather" else (0.02, 3e-4)
+    gathered = indirect == "final_gather"
     how = {"indirect": indirect, "photon_spacing": 0}
     ours, theirs, other = (
         picture(scene, "bvh", **how), picture(scene, "embree", **how), picture(scene, "embree", seed=1, **how),
     )  # fmt: skip
     off, off_by_seed = (np.abs(image - theirs).max(axis=-1) / theirs.mean() for image in (ours, other))
-    assert np.median(off) < 1e-6 and np.mean(off > 1e-4) < share and off.mean() < mean
     assert np.median(off_by_seed) > 1e-3
-    assert ours.mean() == pytest.approx(theirs.mean(), rel=mean if indirect == "final_gather" else 1e-4)
+    share, mean = (0.4, 0.01 * off_by_seed.mean()) if gathered else (0.02, 3e-4)
+    assert np.median(off) < 1e-6 and np.mean(off > 1e-4) < share and off.mean() < mean
+    assert ours.mean() == pytest.approx(theirs.mean(), rel=1e-3 if gathered else 1e-4)
 
 
 def test_threads_and_chunks_do_not_show() -> None:
