@@ -7,6 +7,7 @@ from joulebox_agent.estimates.estimate import (
     MOST_NEEDED,
     Interval,
     net_of_idle,
+    step_half,
     t_quantile,
     two_stage_interval,
     windows_needed,
@@ -126,6 +127,24 @@ def test_a_gauge_slower_than_the_windows_is_not_resolvable_and_names_a_bound() -
     assert "44 J" in found.notes[0]  # 22 W over the 2 s of an image
 
 
+@pytest.mark.parametrize("count", [3, 5, 10])
+def test_steady_windows_of_a_coarse_counter_are_held_at_their_rate(count: int) -> None:
+    """Windows of 30 steps and any fraction of one, told as 30 or 31: by Student's t alone 3 hold 75, 5 hold 83 %.
+
+    20,000 draws: a standard error of 0.15 %.
+    """
+    rng = np.random.default_rng(count)
+    held, plain = [], []
+    for _ in range(20_000):
+        steps = 30 + rng.uniform()
+        told = list(np.floor(steps + rng.uniform(size=count)))
+        for into, least in ((held, step_half(count)), (plain, 0.0)):
+            interval = two_stage_interval(told, count, least_half=least)
+            into.append(interval.low <= steps <= interval.high)
+    assert np.mean(held) == pytest.approx(0.95, abs=0.006)
+    assert np.mean(plain) < 0.92
+
+
 def test_a_counter_of_few_steps_is_not_resolvable() -> None:
     class Counter(Replay):
         primary = "counter"
@@ -172,7 +191,7 @@ def test_windows_needed_for_two_percent(cv: float, needed: int) -> None:
     pilot = 100.0 * (1 + cv * pilot / pilot.std(ddof=1))
     assert windows_needed(list(pilot), 0.02) >= max(5, needed)
     assert windows_needed([5.0] * 5, 0.02) == 5
-    assert windows_needed(list(pilot), 1e-300) == windows_needed([5.0] * 5, 1e-300, drift_share=0.1) == MOST_NEEDED
+    assert windows_needed(list(pilot), 1e-300) == windows_needed([5.0] * 5, 1e-300, least_share=0.1) == MOST_NEEDED
 
 
 def test_two_stage_interval_covers_at_its_rate() -> None:

@@ -19,7 +19,7 @@ from joulebox_agent.measuring.meter import StoppedError
 from joulebox_agent.measuring.recording import Recording
 from joulebox_agent.measuring.result import build_result
 from joulebox_agent.measuring.rule import MeasureRule
-from joulebox_agent.measuring.visit import Job
+from joulebox_agent.measuring.visit import LEAD_REFRESHES, LEAD_SHARE, Job
 from joulebox_agent.sampling.sampler import Sampler
 from joulebox_agent.sources.choose import Choice, choose
 from joulebox_agent.sources.reading import Reading
@@ -99,6 +99,17 @@ def test_the_warm_up_image_is_in_no_window(tmp_path: Path) -> None:
     assert [w.start_s for w in record.windows[1:]] == [w.end_s for w in record.windows[:-1]]
     assert {w.end_s for w in record.windows} <= {image.end_s for image in record.images}
     assert sum(w.images for w in record.windows) <= len(record.images)
+
+
+def test_windows_know_how_long_their_load_went_on_around_them(tmp_path: Path) -> None:
+    record = measured(tmp_path, source="replay@0.1")
+    assert record.warm_up is not None
+    assert record.last_image is not None
+    load_s = (record.warm_up.start_s, record.last_image.end_s)
+    assert [window.load_s for window in record.windows] == [pytest.approx(load_s)] * len(record.windows)
+    lead_s = min(LEAD_REFRESHES * 0.1, LEAD_SHARE * RULE.window_s)
+    assert record.windows[0].lead_s >= lead_s - 0.01
+    assert record.windows[-1].trail_s >= lead_s - 0.01
 
 
 def test_net_energy_needs_idle_time(tmp_path: Path) -> None:

@@ -138,7 +138,7 @@ def test_a_control_that_drifts_is_flagged_and_what_follows_is_marked(machine: Ma
     def hotter(m: Machine) -> None:
         simulated.STAGES_W.update({name: 1.1 * watts for name, watts in before.items()})
 
-    at(machine, 420.0, hotter)
+    at(machine, 470.0, hotter)
     try:
         bench.session.run()
     finally:

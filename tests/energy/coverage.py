@@ -45,6 +45,9 @@ CASES = (
     Case("refresh 4 s, second stage up to 20 windows", STEADY, gauge=Gauge(4.0, 4.0),
          rule=Rule(most=20, half_width=0.005)),
     Case("refresh 4 s, net of idle", STEADY, gauge=Gauge(4.0, 4.0), rule=Rule(idle=True)),
+    Case("in blocks, refresh 4 s", STEADY, gauge=Gauge(4.0, 4.0), rule=Rule(blocks=True)),
+    Case("in blocks, refresh 2 s, mean of 10 s", STEADY, gauge=Gauge(2.0, 10.0), rule=Rule(blocks=True)),
+    Case("in blocks, refresh 4 s, mean of 30 s", STEADY, gauge=Gauge(4.0, 30.0), rule=Rule(blocks=True)),
     Case("1 % over 60 s, refresh 4 s, 10 windows", DRIFT, replace(LAPTOP, drift_share=0.01, drift_time_s=60.0),
          Gauge(4.0, 4.0), Rule(pilot=10, most=10)),
     Case("2 % over 120 s, refresh 4 s, 5 to 20 windows", DRIFT, DRIFTING, Gauge(4.0, 4.0), Rule(most=20)),
@@ -53,6 +56,9 @@ CASES = (
          Gauge(4.0, 4.0), Rule(pilot=20, most=20)),
     Case("2 % over 120 s, refresh 30 s, windows of 450 s", DRIFT, DRIFTING, Gauge(30.0, 30.0), Rule(window_s=450.0)),
     Case("steps of 3.6 J", COUNTER, gauge=Gauge(4.0, 4.0), rule=Rule("battery_counter")),
+    Case("in blocks, steps of 3.6 J", STEADY, gauge=Gauge(4.0, 4.0), rule=Rule("battery_counter", blocks=True)),
+    Case("in blocks, steps of 36 J", STEADY, gauge=Gauge(4.0, 4.0, counter_step_j=36.0),
+         rule=Rule("battery_counter", blocks=True)),
     Case("steps of 36 J", COUNTER, gauge=Gauge(4.0, 4.0, counter_step_j=36.0), rule=Rule("battery_counter")),
     Case("refresh 30 s, windows of 20 s", COARSE, gauge=Gauge(30.0, 30.0), rule=Rule(window_s=20.0)),
     Case("counter in steps of 36 J, windows of 5 s", COARSE, gauge=Gauge(1.0, 1.0, counter_step_j=36.0),
@@ -94,8 +100,8 @@ def covers(case: Case, seeds: Iterable[int]) -> list[tuple[bool, bool, bool | No
         if result.gross is None:
             found.append(None)
             continue
-        image_j, interval = case.machine.image_j, result.gross
-        net_j = image_j - case.machine.idle_w * case.machine.image_s
+        image_j, interval = result.machine.image_j, result.gross
+        net_j = image_j - result.machine.idle_w * result.machine.image_s
         found.append((
             interval.low <= result.drawn_j <= interval.high,
             interval.low <= image_j <= interval.high,

@@ -15,6 +15,7 @@ import numpy as np
 from joulebox_agent.estimates.energies import IDLE_PIECES, WindowEnergies, idle_power, window_energies
 from joulebox_agent.estimates.estimate import Interval, net_of_idle, two_stage_interval, windows_needed
 from joulebox_agent.estimates.windows import Window
+from joulebox_agent.measuring.visit import LEAD_REFRESHES, LEAD_SHARE
 from joulebox_agent.sampling.sampler import Sampler
 from joulebox_agent.sampling.series import PowerSeries
 from joulebox_agent.sources.battery_counter import PackCounter
@@ -22,14 +23,15 @@ from joulebox_agent.sources.battery_gauge import PackGauge
 from joulebox_agent.sources.power_supply import PowerSupplyClass
 from joulebox_agent.sources.sysfs import Sysfs
 
-from .discharge import Discharge, Gauge, Image, Machine, gauge_updates, script
+from .discharge import Discharge, Gauge, Image, Machine, configured, gauge_updates, script
 
 SOURCES = {"battery_gauge": PackGauge, "battery_counter": PackCounter}
 
 
 @dataclass(frozen=True)
 class Rule:
-    """How it is measured: the agent's own settings."""
+    """How it is measured: the agent's own settings;
+    blocks: one window each of two configurations in random order, drawn anew in every run."""
 
     source: str = "battery_gauge"
     window_s: float = 60.0
@@ -37,12 +39,14 @@ class Rule:
     most: int = 5
     half_width: float = 0.05
     idle: bool = False
+    blocks: bool = False
 
 
 @dataclass(frozen=True)
 class Measured:
-    """Joules per image as measured, None where not resolvable; what was really drawn; the windows."""
+    """Joules per image as measured, None where not resolvable; what was really drawn; whose windows they are."""
 
+    machine: Machine
     gross: Interval | None
     net: Interval | None
     drawn_j: float
@@ -166,30 +170,40 @@ class _Stage(NamedTuple):
     through_specular: bool = False
 
 
-def windows_of(block: list[Image], window_s: float) -> list[Window]:
+def lead_s(gauge: Gauge, window_s: float) -> float:
+    """How long the agent renders before the first window and after the last."""
+    return min(LEAD_REFRESHES * gauge.refresh_s, LEAD_SHARE * window_s)
+
+
+def windows_of(block: list[Image], window_s: float, before_s: float) -> list[Window]:
     """The windows the agent would make of these images; the first image is its warm-up."""
-    first, *images = block
+    begin_s, last_s = block[0][0][1], block[-1][-1][2]
     windows: list[Window] = []
-    now = Window(first[-1][2])
-    for number, image in enumerate(images):
-        begin_s, end_s = image[0][1], image[-1][2]
-        now.add(_Image(number, begin_s, end_s, end_s - begin_s), [_Stage(*stage) for stage in image])
-        if now.wall_s >= window_s:
-            windows.append(now)
-            now = Window(now.end_s)
+    now: Window | None = None
+    for number, image in enumerate(block):
+        start_s, end_s = image[0][1], image[-1][2]
+        if now is not None:
+            now.add(_Image(number, start_s, end_s, end_s - start_s), [_Stage(*stage) for stage in image])
+            if now.wall_s >= window_s:
+                windows.append(now)
+        if (now is None and end_s >= begin_s + before_s) or now in windows:
+            now = Window(end_s, lead_s=end_s - begin_s)
+    for window in windows:
+        window.trail_s = last_s - window.end_s
     return windows
 
 
 def measure(seed: int, machine: Machine, gauge: Gauge, rule: Rule, root: Path | None = None) -> Measured:
     """One measurement as `joulebox-agent measure` would make it: pilot, Stein's second stage, intervals."""
     rng = np.random.default_rng(seed)
-    discharge = script(rng, [machine], rule.most * (rule.window_s + 1.2 * machine.image_s) + 3 * machine.image_s)
-    windows = windows_of(discharge.blocks[0], rule.window_s)[: rule.most]
+    if rule.blocks:
+        machine = configured(rng, machine)
+    discharge, windows = _measured(rng, machine, rule, lead_s(gauge, rule.window_s))
     run = Run(rng, discharge, gauge, rule.source, root)
     count, found = rule.pilot, _energies(run, windows[: rule.pilot])
     if rule.most > rule.pilot and None not in found.gross_j:
         pilot = _per_image(found, windows[:count])
-        needed = windows_needed(pilot, rule.half_width, drift_share=found.drift_share)
+        needed = windows_needed(pilot, rule.half_width, least_share=found.least_share)
         count = min(rule.most, needed)
         found = _energies(run, windows[:count])
     windows = windows[:count]
@@ -204,16 +218,32 @@ def measure(seed: int, machine: Machine, gauge: Gauge, rule: Rule, root: Path | 
     gross = net = None
     if None not in found.gross_j:
         values_j = _per_image(found, windows)
-        drift_half_j = found.drift_share * float(np.mean(values_j))
-        gross = two_stage_interval(values_j, rule.pilot, drift_half=drift_half_j)
+        least_half_j = found.least_share * float(np.mean(values_j))
+        gross = two_stage_interval(values_j, rule.pilot, least_half=least_half_j)
         if idle_w is not None:
             times_s = [w.wall_s / w.images for w in windows]
-            net = net_of_idle(values_j, times_s, idle_w, 2 * IDLE_PIECES, rule.pilot, drift_half_j)
-    return Measured(gross, net, float(np.mean(per_image)), windows, found, drawn_j)
+            net = net_of_idle(values_j, times_s, idle_w, 2 * IDLE_PIECES, rule.pilot, least_half_j)
+    return Measured(machine, gross, net, float(np.mean(per_image)), windows, found, drawn_j)
+
+
+def _measured(
+    rng: np.random.Generator, machine: Machine, rule: Rule, before_s: float
+) -> tuple[Discharge, list[Window]]:
+    """A discharge and the machine's windows in it: one after the other, or among those of another configuration."""
+    around_s = 2 * before_s + 3 * machine.image_s
+    if not rule.blocks:
+        discharge = script(rng, [machine], rule.most * (rule.window_s + 1.2 * machine.image_s) + around_s)
+        return discharge, windows_of(discharge.blocks[0], rule.window_s, before_s)[: rule.most]
+    pair = (machine, configured(rng, machine))
+    order = [int(member) for _ in range(rule.most) for member in rng.permutation(2)]
+    discharge = script(rng, [pair[member] for member in order], rule.window_s + around_s)
+    mine = [block for block, member in zip(discharge.blocks, order, strict=True) if member == 0]
+    return discharge, [windows_of(block, rule.window_s, before_s)[0] for block in mine]
 
 
 def _energies(run: Run, windows: list[Window]) -> WindowEnergies:
-    series = run.read_until(windows[-1].end_s)
+    """As the agent tells them when it leaves: the load goes on for a moment after the last window."""
+    series = run.read_until(windows[-1].load_s[1])
     return window_energies(series, run.source, windows, run.resolution_j)
 
 

@@ -1,7 +1,7 @@
 """Stage powers from a sweep of metered windows, and how far Equation 2 is from them."""
 
 from concurrent.futures import Executor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -9,8 +9,8 @@ from joulebox_agent.estimates.energies import window_energies
 from joulebox_agent.estimates.stage_power import StagePowerFit, WindowTotals, fit_stage_powers
 from joulebox_agent.estimates.windows import Window, stage_energies_j
 
-from .discharge import Gauge, Machine, script
-from .reading import Run, windows_of
+from .discharge import Gauge, Machine, configured, script
+from .reading import Run, lead_s, windows_of
 
 
 @dataclass(frozen=True)
@@ -39,11 +39,12 @@ class SweepResult:
 def run_sweep(seed: int, sweep: Sweep) -> SweepResult:
     """One window of every configuration, read as the agent reads it, fitted without the ones held out."""
     rng = np.random.default_rng(seed)
-    machines = [_configured(rng, sweep.machine) for _ in range(sweep.windows + sweep.held_out)]
-    discharge = script(rng, machines, sweep.window_s + 3.2 * max(m.image_s for m in machines))
-    windows = [windows_of(block, sweep.window_s)[0] for block in discharge.blocks]
+    machines = [configured(rng, sweep.machine) for _ in range(sweep.windows + sweep.held_out)]
+    before_s = lead_s(sweep.gauge, sweep.window_s)
+    discharge = script(rng, machines, sweep.window_s + 2 * before_s + 3.2 * max(m.image_s for m in machines))
+    windows = [windows_of(block, sweep.window_s, before_s)[0] for block in discharge.blocks]
     run = Run(rng, discharge, sweep.gauge, "battery_gauge")
-    series = run.read_until(windows[-1].end_s + 5.0)
+    series = run.read_until(windows[-1].load_s[1])
     found = window_energies(series, run.source, windows, run.resolution_j)
     energies_j = [energy_j for energy_j in found.gross_j if energy_j is not None]
     totals = [_totals(w, energy_j) for w, energy_j in zip(windows, energies_j, strict=True)]
@@ -58,14 +59,6 @@ def run_sweep(seed: int, sweep: Sweep) -> SweepResult:
         _equation_2_w(windows, energies_j),
         [price.low <= totals[row].energy_j <= price.high for row, price in zip(held, prices, strict=True)],
         [price.low <= energy_j <= price.high for price, energy_j in zip(prices, drawn_j, strict=True)],
-    )
-
-
-def _configured(rng: np.random.Generator, machine: Machine) -> Machine:
-    """The same machine with settings under which every stage takes another time."""
-    return replace(
-        machine,
-        stages=tuple((name, power_w, time_s * 3 ** rng.uniform(-1, 1)) for name, power_w, time_s in machine.stages),
     )
 
 

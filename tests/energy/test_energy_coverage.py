@@ -39,14 +39,18 @@ def test_a_tree_in_memory_reads_as_one_on_disk(tmp_path: Path) -> None:
     assert in_memory.energies == on_disk.energies
 
 
-@pytest.mark.parametrize("name", ["refresh 4 s", "refresh 4 s, mean of 30 s", "refresh 4 s, power in steps of 0.5 W"])
+IN_SLICE = ("refresh 4 s", "refresh 4 s, mean of 30 s", "refresh 4 s, power in steps of 0.5 W",
+            "in blocks, refresh 4 s, mean of 30 s", "in blocks, steps of 36 J")  # fmt: skip
+
+
+@pytest.mark.parametrize("name", IN_SLICE)
 def test_intervals_hold_the_truth_at_their_rate(name: str) -> None:
     """150 fixed seeds: binomial sigma 1.8 %, bounds of 3 sigma. The whole has 2,000 (make test-energy)."""
     found = coverage(NAMED[name], 150)
     assert found.case.group == STEADY
     assert found.resolved == 150
     assert 0.895 <= found.long_run <= 1.0
-    assert abs(found.bias) < 0.003
+    assert abs(found.bias) < 0.004  # 3 sigma of the coarsest, whose runs scatter by 0.9 %, are 0.2 %
 
 
 def test_drift_widens_the_interval_and_a_steady_machine_s_is_left_alone() -> None:
@@ -57,9 +61,9 @@ def test_drift_widens_the_interval_and_a_steady_machine_s_is_left_alone() -> Non
     results = [measure(seed, wandering, case.gauge, rule) for seed in range(60)]
     held = [r.gross is not None and r.gross.low <= wandering.image_j <= r.gross.high for r in results]
     assert np.mean(held) >= 0.88  # 3 sigma below 0.97
-    plain = [measure(seed, case.machine, case.gauge, rule).energies.drift_share for seed in range(40)]
+    plain = [measure(seed, case.machine, case.gauge, rule).energies.least_share for seed in range(40)]
     assert np.median(plain) == 0.0
-    assert np.median([r.energies.drift_share for r in results]) > 0.02
+    assert np.median([r.energies.least_share for r in results]) > 0.02
 
 
 @pytest.mark.parametrize("name", [case.name for case in CASES if case.group == COARSE])

@@ -7,7 +7,7 @@ import numpy as np
 
 from joulebox_agent.estimates import drift
 from joulebox_agent.estimates.calibration import Calibration
-from joulebox_agent.estimates.estimate import Interval, two_stage_interval
+from joulebox_agent.estimates.estimate import Interval, step_half, two_stage_interval
 from joulebox_agent.estimates.windows import Window
 from joulebox_agent.sampling.faults import counter_fault
 from joulebox_agent.sampling.lag import Lag, fit_lag
@@ -29,14 +29,16 @@ NODES_A_STAGE = 4  # of a fast source in one run of a stage, below which neighbo
 class WindowEnergies:
     """gross_j, counter_j: one value a window, None where unknown. notes: what a reader must know.
 
-    drift_share  least half-width of a mean over the windows that drift asks for, as a share of it
-    lag_s        the gauge shows the mean of this many seconds, as fitted; 0 where nothing tells it
+    least_share, counter_least_share  least half-width of a mean over the windows, as a share of it: what drift asks
+                                      for, and of a counter its steps
+    lag_s  the gauge shows the mean of this many seconds, as fitted; 0 where nothing tells it
     """
 
     gross_j: tuple[float | None, ...]
     counter_j: tuple[float | None, ...]
     notes: tuple[str, ...]
-    drift_share: float = 0.0
+    least_share: float = 0.0
+    counter_least_share: float = 0.0
     lag_s: float = 0.0
 
 
@@ -45,13 +47,14 @@ def window_energies(
 ) -> WindowEnergies:
     """Whole-window energies; all None, with a note on the bound, where the source cannot resolve them.
 
-    resolution_j  step of the counter [J], None when it has no noticeable one
+    resolution_j  step of the counter [J] as told, None when it has no noticeable one; what is seen comes first
     """
     nothing = (None,) * len(windows)
     if source.quality == "none" or not windows:
         return WindowEnergies(nothing, nothing, ())
+    resolution_j = series.counter_quantum_j() or resolution_j
     stretches = [(w.start_s, w.end_s) for w in windows]
-    lag = fit_lag(series, stretches) if source.primary == "power" else NO_LAG
+    lag = fit_lag(series, stretches, [w.load_s for w in windows]) if source.primary == "power" else NO_LAG
     gross_j = _energies_j(series, source.primary, stretches, lag)
     counter_j = tuple(series.energy_j(w.start_s, w.end_s, "counter") for w in windows)
     notes: list[str] = []
@@ -60,8 +63,10 @@ def window_energies(
     if counter_bound:
         counter_j = nothing
     if source.primary == "counter":
-        share = 0.0 if counter_bound else drift_share(series, windows, None)
-        return WindowEnergies(counter_j, counter_j, (counter_bound,) if counter_bound else (), share)
+        if counter_bound:
+            return WindowEnergies(nothing, nothing, (counter_bound,))
+        share = max(drift_share(series, windows, None), _step_share(series, windows, counter_j, resolution_j))
+        return WindowEnergies(counter_j, counter_j, (), share, share)
     gauge_bound = _slow_gauge(series, windows)
     if gauge_bound:
         return WindowEnergies(nothing, nothing, (gauge_bound,))
@@ -72,7 +77,9 @@ def window_energies(
         notes.append(f"the counter beside the gauge ran backwards or lost its thread in {backwards} windows")
     if rejected:
         counter_j = nothing
-    return WindowEnergies(gross_j, counter_j, tuple(notes), drift_share(series, windows, lag), lag.lag_s)
+    share = drift_share(series, windows, lag)
+    counter_share = max(share, _step_share(series, windows, counter_j, resolution_j))
+    return WindowEnergies(gross_j, counter_j, tuple(notes), share, counter_share, lag.lag_s)
 
 
 def stretch_energies_j(
@@ -127,6 +134,23 @@ def _piece_energies_j(
         energies_j[row * count] += at_start_j
         energies_j[row * count + count - 1] += at_end_j
     return energies_j
+
+
+def _step_share(
+    series: PowerSeries, windows: Sequence[Window], counter_j: Sequence[float | None], resolution_j: float | None
+) -> float:
+    """Half-width that the counter's steps ask for at least, as a share of the windows' mean; see estimate.step_half.
+
+    Where the counter refreshes several times a step, it is seen to move, and is known at that moment to what is used
+    in a refresh.
+    """
+    known = [energy_j for energy_j in counter_j if energy_j is not None]
+    refresh_s = series.refresh_s()
+    if len(known) < 2 or not resolution_j or refresh_s is None or sum(known) <= 0:
+        return 0.0
+    mean_j = sum(known) / len(known)
+    refresh_j = refresh_s * mean_j / (sum(window.wall_s for window in windows) / len(windows))
+    return step_half(len(known)) * min(resolution_j, refresh_j) / mean_j
 
 
 def _coarse_counter(
@@ -216,7 +240,7 @@ def idle_power(
     if len(pieces_w) < 2:
         return None
     share = drift.half_share([np.array(pieces_w)], np.array(starts_s), np.array(lengths_s), max(lengths_s))
-    return two_stage_interval(pieces_w, len(pieces_w), drift_half=share * float(np.mean(pieces_w)))
+    return two_stage_interval(pieces_w, len(pieces_w), least_half=share * float(np.mean(pieces_w)))
 
 
 def integrated_stage_energies(

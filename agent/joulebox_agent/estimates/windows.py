@@ -27,6 +27,8 @@ class Window:
 
     image_time_s  sum of the images' own times (first photon to last pixel), at most `wall_s`
     image_ends_s  when its images ended, in order; empty where only their number is known
+    lead_s        how long the same images were rendered before it, and
+    trail_s       after it, as far as is known
     """
 
     start_s: float
@@ -36,6 +38,13 @@ class Window:
     cpu_s: float = 0.0
     stages: dict[str, StageTotals] = field(default_factory=dict)
     image_ends_s: list[float] = field(default_factory=list)
+    lead_s: float = 0.0
+    trail_s: float = 0.0
+
+    @property
+    def load_s(self) -> tuple[float, float]:
+        """The stretch (start, end) of the same load that it lies in."""
+        return self.start_s - self.lead_s, self.end_s + self.trail_s
 
     @property
     def wall_s(self) -> float:

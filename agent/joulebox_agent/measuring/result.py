@@ -61,7 +61,7 @@ def build_result(
     fast, primary = _fast_series(record)
     gross_j = energies.gross_j if found.per_image.gross else (None,) * len(windows)
     evidence = StageEvidence(
-        windows, gross_j, rule.min_windows, energies.drift_share, fast, primary, calibration, powers
+        windows, gross_j, rule.min_windows, energies.least_share, fast, primary, calibration, powers
     )
     document = MeasureDocument(
         **_identity(record.ready, record.last_image),
@@ -175,13 +175,14 @@ def _energy_per_image(
     idle_pieces: int,
     pilot_count: int,
 ) -> EnergyPerImage:
-    def interval(values_j: tuple[float | None, ...]) -> Interval | None:
+    def interval(values_j: tuple[float | None, ...], least_share: float) -> Interval | None:
         known = [v / w.images for v, w in zip(values_j, windows, strict=True) if v is not None]
         if len(known) < 2:
             return None
-        return two_stage_interval(known, pilot_count, drift_half=energies.drift_share * float(np.mean(known)))
+        return two_stage_interval(known, pilot_count, least_half=least_share * float(np.mean(known)))
 
-    gross, counter = interval(energies.gross_j), interval(energies.counter_j)
+    gross = interval(energies.gross_j, energies.least_share)
+    counter = interval(energies.counter_j, energies.counter_least_share)
     net = None
     if gross is not None and idle_w is not None:
         known = [(e, w) for e, w in zip(energies.gross_j, windows, strict=True) if e is not None]
@@ -191,7 +192,7 @@ def _energy_per_image(
             idle_w,
             idle_pieces,
             pilot_count,
-            energies.drift_share * gross.value,
+            energies.least_share * gross.value,
         )
     return EnergyPerImage(gross=gross, net=net, counter=counter)
 

@@ -207,27 +207,27 @@ class Session:
 
     def _decide(self, index: int) -> None:
         """The running estimate after every window, and when the pilot is complete, Stein's second stage."""
-        values, unit, drift_share = self._values(index)
+        values, unit, least_share = self._values(index)
         if len(values) < 2:
             return
-        drift_half = drift_share * sum(values) / len(values)
-        interval = two_stage_interval(values, self._rule.min_windows, drift_half=drift_half)
+        least_half = least_share * sum(values) / len(values)
+        interval = two_stage_interval(values, self._rule.min_windows, least_half=least_half)
         self._estimate = f"{interval.value:.4g} {unit} an image ± {interval.half_width:.2g}"
         if not self._decided[index] and len(self.records[index].windows) >= self._wanted[index]:
             self._decided[index] = True
             pilot = values[: max(2, self._rule.min_windows)]
-            needed = windows_needed(pilot, self._rule.half_width, drift_share=drift_share)
+            needed = windows_needed(pilot, self._rule.half_width, least_share=least_share)
             self._wanted[index] = min(self._rule.max_windows, max(self._wanted[index], needed))
 
     def _values(self, index: int) -> tuple[list[float], str, float]:
         """What decides the number of windows: joules an image, seconds an image where no energy is known;
-        their unit; the half-width that drift asks for, as a share."""
+        their unit; their least half-width as a share."""
         record = self.records[index]
         series = PowerSeries(self._meter.samples())
         found = window_energies(series, record.source, record.windows, record.source_report.resolution_j)
         joules = [g / w.images for g, w in zip(found.gross_j, record.windows, strict=True) if g is not None]
         if joules:
-            return joules, "J", found.drift_share
+            return joules, "J", found.least_share
         return [w.image_time_s / w.images for w in record.windows], "s", 0.0
 
     def _show(self, index: int, elapsed_s: float) -> None:

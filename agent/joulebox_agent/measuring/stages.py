@@ -19,7 +19,7 @@ class StageEvidence:
 
     windows, gross_j  the windows and the energy of each [J], None where unknown
     pilot_count       windows of the pilot, for the intervals
-    drift_share       least half-width of those intervals, for drift, as a share of the mean
+    least_share       least half-width of those intervals as a share of the mean
     fast, primary     the series that may resolve a stage: a companion's, else the source's own
     calibration       of a companion: what it makes of the battery
     powers            the stage powers of a sweep
@@ -28,7 +28,7 @@ class StageEvidence:
     windows: Sequence[Window]
     gross_j: Sequence[float | None]
     pilot_count: int
-    drift_share: float = 0.0
+    least_share: float = 0.0
     fast: PowerSeries | None = None
     primary: Primary = "power"
     calibration: Calibration | None = None
@@ -98,7 +98,7 @@ def _over_windows(
     if len(metered) < 2:
         return mean, None
     values = [j / w.images for j, (w, _) in zip(joules, metered, strict=True)]
-    interval = two_stage_interval(values, evidence.pilot_count, drift_half=evidence.drift_share * mean)
+    interval = two_stage_interval(values, evidence.pilot_count, least_half=evidence.least_share * mean)
     return mean, Interval(value=mean, low=mean - interval.half_width, high=mean + interval.half_width)
 
 

@@ -19,8 +19,9 @@ from joulebox_agent.process import STOP_WITHIN_S
 
 LOOK_AT_REFRESH_S = 10.0
 MOST_VOID = 10  # void windows in a row, after which a configuration is not measurable here and now
-LEAD_REFRESHES = 3  # of rendering before the first and after the last window: a gauge shows a mean of the past,
-LEAD_SHARE = 0.2  # and what it shows at a window's edge should be of the same load; at most this share of a window
+# Rendering before the first and after the last window: a gauge shows a mean of the past and a counter is read between
+# its updates, and what they say at a window's edge should be of the same load. At most this share of a window.
+LEAD_REFRESHES, LEAD_SHARE = 4, 0.25
 Ending = Literal["enough", "time", "void", "trouble", "over", "low charge"]
 """void: the configuration is at fault; trouble: the source is, ask `Meter.trouble`."""
 
@@ -84,6 +85,7 @@ class Visit:
         self._ending: Ending | None = None
         self._then: Ending | None = None  # how it ends once the load has lasted until `_edge_s`
         self._lead_s = self._edge_s = 0.0
+        self._load_from_s = math.inf
         self._looked_s, self._refresh_s = -math.inf, SLOWEST_REFRESH_S
 
     def run(self) -> Ending:
@@ -108,6 +110,7 @@ class Visit:
             self._meter.load_changed()
             if self._ready_s is not None:
                 self._record.spent_s += self._clock.now_s() - self._ready_s
+        self._tell_trails()
         self._record.rest = self._open if self._open is not None and self._open.images else None
         return self._ending or "enough"
 
@@ -153,6 +156,7 @@ class Visit:
             if record.warm_up is None:
                 record.warm_up, record.warm_up_stages = image, stages
             self._lead_s = self._needed_lead_s()
+            self._load_from_s = image.start_s
             self._edge_s = image.start_s + self._lead_s
             if image.end_s >= self._edge_s:
                 self._begin(image.end_s)
@@ -174,7 +178,17 @@ class Visit:
     def _begin(self, start_s: float) -> None:
         self._meter.sample()  # so that a fast counter is known at the window's edge
         self._state = self._meter.conditions()
-        self._open = Window(start_s)
+        self._open = self._window_from(start_s)
+
+    def _window_from(self, start_s: float) -> Window:
+        return Window(start_s, lead_s=start_s - self._load_from_s)
+
+    def _tell_trails(self) -> None:
+        """How long the load went on after each window is known when the visit is over."""
+        last = self._record.last_image
+        for window in self._record.windows:
+            if last is not None and window.start_s >= self._load_from_s:
+                window.trail_s = max(0.0, last.end_s - window.end_s)
 
     def _needed_s(self) -> float:
         """Length of a window: what was asked for, and room for enough refreshes of the gauge as measured."""
@@ -198,7 +212,7 @@ class Visit:
             self._record.windows.append(window)
             self._record.blocks.append(self._block)
             self._void_in_a_row = 0
-            self._open = Window(window.end_s)
+            self._open = self._window_from(window.end_s)
         wrote = self._on_window()
         if reason is None and self._enough():
             self._leave(window.end_s, "enough")
@@ -216,8 +230,7 @@ class Visit:
             self._ending = ending
 
     def _needed_lead_s(self) -> float:
-        source = self._meter.choice.source
-        if source.quality == "none" or source.primary != "power" or not self._rule.meter:
+        if self._meter.choice.source.quality == "none" or not self._rule.meter:
             return 0.0
         return min(LEAD_REFRESHES * (self._meter.refresh_s() or SLOWEST_REFRESH_S), LEAD_SHARE * self._rule.window_s)
 

@@ -21,6 +21,8 @@ PIECE = (
     3.0  # refreshes; length of the first piece of constant power beside a stretch, each further one is twice as long
 )
 MOST_STRETCHES = 40  # that the lag, a property of the gauge, is fitted on
+Stretch = tuple[float, float]  # (start_s, end_s)
+FINER = 9  # lags that are looked at around the one of the grid
 NEEDED_GAIN = 8.0  # in twice the log likelihood, before a longer lag is believed
 
 
@@ -33,16 +35,31 @@ class Lag:
     edges_j: tuple[tuple[float, float], ...]
 
 
-def fit_lag(series: PowerSeries, stretches: Sequence[tuple[float, float]]) -> Lag:
-    """The gauge's lag from the steps at the edges of stretches (start_s, end_s) that do not overlap."""
+def fit_lag(series: PowerSeries, stretches: Sequence[Stretch], loads: Sequence[Stretch] | None = None) -> Lag:
+    """The gauge's lag from the steps at the edges of loads.
+
+    stretches  (start_s, end_s) that do not overlap
+    loads      for each of them the longer stretch of the same load that it lies in; None: the power steps at its edges
+    """
     refresh_s = series.refresh_s()
     if refresh_s is None or not stretches:
         return Lag(0.0, ((0.0, 0.0),) * len(stretches))
-    lag_s = _likeliest_s(series, sorted(stretches)[:MOST_STRETCHES], refresh_s)
-    return Lag(lag_s, tuple(_edges_j(series, *stretch, lag_s, refresh_s) for stretch in stretches))
+    pairs = list(zip(stretches, stretches if loads is None else loads, strict=True))
+    lag_s = _likeliest_s(series, _widened(sorted(pairs)[:MOST_STRETCHES]), refresh_s)
+    return Lag(lag_s, tuple(_edges_j(series, stretch, load, lag_s, refresh_s) for stretch, load in pairs))
 
 
-def _likeliest_s(series: PowerSeries, stretches: Sequence[tuple[float, float]], refresh_s: float) -> float:
+def _widened(pairs: Sequence[tuple[Stretch, Stretch]]) -> list[Stretch]:
+    """Every stretch up to where its load begins and ends, or where its neighbour of the same load lies."""
+    wide = []
+    for number, ((start_s, end_s), (from_s, to_s)) in enumerate(pairs):
+        first = number == 0 or pairs[number - 1][0][1] <= from_s
+        last = number + 1 == len(pairs) or to_s <= pairs[number + 1][0][0]
+        wide.append((from_s if first else start_s, to_s if last else end_s))
+    return wide
+
+
+def _likeliest_s(series: PowerSeries, stretches: Sequence[Stretch], refresh_s: float) -> float:
     """The shortest lag of the grid that explains the updates within the stretches, 0 where they are too few [s]."""
     longest_s = min(LONGEST_LAG_S, min(end_s - start_s for start_s, end_s in stretches))
     lags_s = [count * refresh_s for count in REFRESHES if count * refresh_s <= longest_s]
@@ -54,7 +71,11 @@ def _likeliest_s(series: PowerSeries, stretches: Sequence[tuple[float, float]], 
     if times_s.size < 2 * len(stretches) + 2:
         return 0.0
     costs = [_cost(times_s, power_w, lag_s, edges_s) for lag_s in lags_s]
-    return next(lag_s for lag_s, cost in zip(lags_s, costs, strict=True) if cost <= min(costs) + NEEDED_GAIN)
+    if costs[0] <= min(costs) + NEEDED_GAIN:
+        return 0.0
+    best = int(np.argmin(costs))
+    finer_s = np.linspace(lags_s[best - 1], lags_s[min(best + 1, len(lags_s) - 1)], FINER)
+    return float(min(finer_s, key=lambda lag_s: _cost(times_s, power_w, lag_s, edges_s)))
 
 
 def _cost(times_s: Floats, power_w: Floats, lag_s: float, edges_s: list[float]) -> float:
@@ -67,7 +88,7 @@ def _cost(times_s: Floats, power_w: Floats, lag_s: float, edges_s: list[float]) 
     return times_s.size * math.log(misfit) + math.log(times_s.size) * int(design.shape[1])
 
 
-def _edges(stretches: Sequence[tuple[float, float]], margin_s: float, piece_s: float) -> list[float]:
+def _edges(stretches: Sequence[Stretch], margin_s: float, piece_s: float) -> list[float]:
     """Borders of all stretches, and of the pieces that the time around them is cut into, finest beside a stretch.
 
     Neighbours that touch share a border.
@@ -100,22 +121,28 @@ def _overlaps(times_s: Floats, lag_s: float, edges_s: list[float]) -> Floats:
     return np.diff(upto, axis=1)
 
 
-def _leak_s(lag_s: float, refresh_s: float) -> float:
-    """Mean distance that power is carried over an edge: E[max(X, 0)] for X uniform over the lag plus the
-    triangle of the interpolation between updates; 0.4 of its standard deviation, within 8 %."""
-    return 0.4 * math.sqrt(lag_s**2 / 12 + refresh_s**2 / 6)
+def _leak_s(lag_s: float, refresh_s: float, away_s: float) -> float:
+    """Mean distance that power of a step is carried into a stretch whose edge is away_s from it: E[max(X - away, 0)]
+    for X uniform over the lag plus the triangle of the interpolation between updates, within 8 % of their spread
+    that of a normal X."""
+    spread_s = math.sqrt(lag_s**2 / 12 + refresh_s**2 / 6)
+    z = away_s / spread_s
+    return spread_s * (math.exp(-z * z / 2) / math.sqrt(2 * math.pi) - z * math.erfc(z / math.sqrt(2)) / 2)
 
 
-def _edges_j(series: PowerSeries, start_s: float, end_s: float, lag_s: float, refresh_s: float) -> tuple[float, float]:
-    """Energy that leaks out of a stretch over either edge, from the updates around it; 0 without any [J]."""
+def _edges_j(
+    series: PowerSeries, stretch: Stretch, load: Stretch, lag_s: float, refresh_s: float
+) -> tuple[float, float]:
+    """Energy that leaks out of a stretch over either edge, from the updates around its load; 0 without any [J]."""
+    (start_s, end_s), (from_s, to_s) = stretch, load
     own_w = _mean_w(series, start_s + lag_s, end_s)
     beside_s = PIECE * refresh_s
-    before_w = _mean_w(series, start_s - beside_s, start_s)
-    after_w = _mean_w(series, end_s + lag_s, end_s + lag_s + beside_s)
-    leak_s = _leak_s(lag_s, refresh_s)
+    before_w = _mean_w(series, from_s - beside_s, from_s)
+    after_w = _mean_w(series, to_s + lag_s, to_s + lag_s + beside_s)
+    before_s, after_s = _leak_s(lag_s, refresh_s, start_s - from_s), _leak_s(lag_s, refresh_s, to_s - end_s)
     return (
-        0.0 if own_w is None or before_w is None else leak_s * (own_w - before_w),
-        0.0 if own_w is None or after_w is None else leak_s * (own_w - after_w),
+        0.0 if own_w is None or before_w is None else before_s * (own_w - before_w),
+        0.0 if own_w is None or after_w is None else after_s * (own_w - after_w),
     )
 
 

@@ -17,6 +17,9 @@ HELD_TOO_LONG = 1.5  # refreshes after which an unchanged value was refreshed, n
 LEAST_GAP_S, GAP_POLLS, GAP_REFRESHES, GAP_SHARE = 2.0, 3, 3, 0.1
 CLOSEST = 0.1  # of the spacings, from the shortest on, that may be a look out of turn
 FEWEST_CHANGES = 4  # of the power, below which its refresh is told by the other raw numbers
+UWH_J = 3.6e-3  # a microwatt-hour, the unit that energy counters are told in
+WHOLE = 0.01  # that a whole number of these may be off by rounding
+FEWEST_MOVES = 8  # of a counter that all have a common divisor by chance once in 2^8
 RECENT_STEPS = 8  # of a counter, whose rate carries it on after the last one
 TORN = 0.5  # refreshes; a power that stood shorter than this was read while the packs were being updated
 TORN_POLLS = 4  # a refresh must hold this many polls before anything in it can be called torn
@@ -105,6 +108,17 @@ class PowerSeries:
         """What the counter moves by at a time [J], as seen; None with fewer than three movements."""
         steps_j = [step for _, counts_j in self._counters.values() for step in np.diff(counts_j) if step > 0]
         return float(np.median(steps_j)) if len(steps_j) >= 3 else None
+
+    def counter_quantum_j(self) -> float | None:
+        """What all movements of the counter are multiples of [J]; None where they are too few to tell, or no whole uWh
+        as of a charge times a voltage."""
+        # without the last one, which is carried on to the last sample
+        seen = [np.diff(counts_j)[:-1] for _, counts_j in self._counters.values()]
+        moves_uwh = np.concatenate(seen or [np.empty(0)]) / UWH_J
+        whole = np.round(moves_uwh)
+        if whole.size < FEWEST_MOVES or float(np.abs(moves_uwh - whole).max()) > WHOLE:
+            return None
+        return float(np.gcd.reduce(whole.astype(np.int64))) * UWH_J or None
 
     def holds(self) -> list[tuple[float, float, float]]:
         """Every power that was shown: (from_s, to_s, watts); the last one to the last sample."""
