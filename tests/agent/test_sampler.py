@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -159,3 +160,24 @@ def test_what_voids_a_stretch_and_what_ends_it_all() -> None:
     assert "the sensor was lost" in str(watched(*steady(0.0, 1.0), *bad).end())
     pulled = watched(*steady(0.0, 1.0), (1.5, 0.0, Reading(power_w=3.0, epoch=1, raw=(1,))))
     assert "the set of batteries changed" in str(pulled.over(0.0, 9.0))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no timer that interrupts")
+def test_an_interrupt_while_the_sampler_starts_leaves_nothing_to_wait_for(tree: Tree) -> None:
+    """The limit of its start is a timer of its own, and no program ends before its timers."""
+    root = tree("thinkpad_power_now")
+    sampler = SamplerProcess(choose("auto", root), root)
+    sampler._command = [sys.executable, "-S", "-E", "-c", "import sys; sys.stdin.read()"]
+
+    def interrupt(number: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGALRM, interrupt)
+    signal.setitimer(signal.ITIMER_REAL, 0.3)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            sampler.start()
+    finally:
+        signal.signal(signal.SIGALRM, before)
+        sampler.stop()
+    until(lambda: not any(isinstance(thread, threading.Timer) for thread in threading.enumerate()), 5.0)
