@@ -12,7 +12,7 @@ from pathlib import Path
 import psutil
 import pytest
 from joulebox_agent.errors import SourceUnavailableError
-from joulebox_agent.sampling.sampler import Sample
+from joulebox_agent.sampling.sampler import Sample, Sampler
 from joulebox_agent.sampling.sampler_child import decode, encode
 from joulebox_agent.sampling.sampler_process import SamplerProcess, sampler_cost
 from joulebox_agent.sampling.watch import FaultWatch, Patience
@@ -181,3 +181,16 @@ def test_an_interrupt_while_the_sampler_starts_leaves_nothing_to_wait_for(tree: 
         signal.signal(signal.SIGALRM, before)
         sampler.stop()
     until(lambda: not any(isinstance(thread, threading.Timer) for thread in threading.enumerate()), 5.0)
+
+
+def test_a_pause_is_one_while_nothing_is_sampled(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A charge is waited for with the sampler stopped; a pause that returned at once would keep a core busy."""
+    root, waited_s = tree("thinkpad_power_now"), list[float]()
+    choice = choose("auto", root)
+    for sampler in (Sampler(choice.source), SamplerProcess(choice, root)):
+        sampler.start()
+        sampler.stop()
+        with monkeypatch.context() as patched:
+            patched.setattr(time, "sleep", waited_s.append)
+            sampler.pause(7200.0)
+    assert waited_s == [7200.0, 7200.0]

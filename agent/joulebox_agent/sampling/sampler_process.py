@@ -72,7 +72,7 @@ class SamplerProcess(SampleLog):
             self._reader.join(END_WITHIN_S)
 
     def pause(self, seconds: float) -> None:
-        self._ended.wait(seconds)
+        time.sleep(seconds)
 
     def sample(self) -> None:
         asked_s = self._clock.now_s()
