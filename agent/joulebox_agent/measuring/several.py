@@ -28,6 +28,11 @@ class SeveralResults:
     powers_reason: str | None
     control: dict[str, Any]
 
+    def lacking(self) -> list[str]:
+        """A sentence for every configuration that has nothing which may be used."""
+        reasons = [r.document.void if r else f for r, f in zip(self.results, self.failures, strict=True)]
+        return [f"configuration {at} has no result: {why}" for at, why in enumerate(reasons, start=1) if why]
+
     def to_json(self) -> dict[str, Any]:
         """The document of `measure --configurations ... --json`."""
         return {
