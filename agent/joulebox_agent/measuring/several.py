@@ -9,11 +9,12 @@ from joulebox_agent.estimates.energies import window_energies
 from joulebox_agent.estimates.estimate import Interval, two_stage_interval
 from joulebox_agent.estimates.stage_power import METHOD, FitError, StagePowerFit, WindowTotals, fit_stage_powers
 from joulebox_agent.estimates.windows import Window
+from joulebox_agent.measuring.blocks import Course
 from joulebox_agent.measuring.document import EnergyPerImage, MeasureDocument, StageEnergy, StageIntervals
 from joulebox_agent.measuring.recording import Recording
 from joulebox_agent.measuring.result import Result, build_result, usable_windows
 from joulebox_agent.measuring.rule import MeasureRule
-from joulebox_agent.measuring.session import Configuration, Course, Session
+from joulebox_agent.measuring.session import Configuration, Session
 from joulebox_agent.sampling.series import PowerSeries
 from joulebox_agent.sources.reading import Quality
 
