@@ -6,7 +6,6 @@ that speaks this can be measured.
 """
 
 import json
-import shlex
 import shutil
 import subprocess
 import sys
@@ -18,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from joulebox_agent.clock import Clock, SystemClock
 from joulebox_agent.errors import RendererError, UsageError
-from joulebox_agent.process import STOP_WITHIN_S, RendererProcess
+from joulebox_agent.process import STOP_WITHIN_S, RendererProcess, program_words
 
 RENDERER = "joulebox-render"
 CLOCKS_AGREE_S = 30.0  # an event cannot arrive before it happened; this much later is another clock
@@ -83,13 +82,7 @@ _EVENT: TypeAdapter[ReadyEvent | StageEvent | ImageEvent | DoneEvent] = TypeAdap
 def renderer_command(given: str | None) -> list[str]:
     """The program to run: what the user gave, else joulebox-render beside this Python, else on PATH."""
     if given:
-        try:
-            words = shlex.split(given)
-        except ValueError as error:
-            raise UsageError(f"The renderer {given!r} is no command: {error}.") from error
-        if not words or shutil.which(words[0]) is None:
-            raise UsageError(f"The renderer {given!r} is not a program on this machine; check --renderer.")
-        return words
+        return program_words(given, "renderer", "--renderer")
     beside = shutil.which(RENDERER, path=str(Path(sys.executable).parent))
     found = beside or shutil.which(RENDERER)
     if found is None:

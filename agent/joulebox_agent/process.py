@@ -2,6 +2,8 @@
 
 import contextlib
 import queue
+import shlex
+import shutil
 import subprocess
 import threading
 from collections import deque
@@ -9,9 +11,23 @@ from collections.abc import Callable, Sequence
 from typing import IO
 
 from joulebox_agent.clock import Clock
-from joulebox_agent.errors import RendererError, RendererRefusedError
+from joulebox_agent.errors import RendererError, RendererRefusedError, UsageError
 
 STOP_WITHIN_S = 10.0
+
+
+def program_words(command: str, what: str, option: str) -> list[str]:
+    """The words of a command line that the user gave, whose first is a program here; no shell runs it.
+
+    what, option  what it is, and where it was given, for the sentence of the UsageError
+    """
+    try:
+        words = shlex.split(command)
+    except ValueError as error:
+        raise UsageError(f"The {what} {command!r} is no command: {error}.") from error
+    if not words or shutil.which(words[0]) is None:
+        raise UsageError(f"The {what} {command!r} is not a program on this machine; check {option}.")
+    return words
 
 
 class RendererProcess:

@@ -3,6 +3,7 @@
 import contextlib
 import http.server
 import json
+import os
 import shlex
 import signal
 import stat
@@ -15,7 +16,7 @@ from pathlib import Path
 import httpx2
 import joulebox_agent.cli.fleet as commands
 import pytest
-from agent_testing import RENDERER
+from agent_testing import RENDERER, build_tree
 from fake_fleet import TOKEN, FakeFleet
 from joulebox_agent.errors import AgentError
 from joulebox_agent.fleet.server import Server
@@ -234,3 +235,45 @@ def test_a_log_of_json_lines(tmp_path: Path) -> None:
     assert {"ready", "job", "measuring", "delivered"} <= {record["event"] for record in records}
     assert all({"time", "level", "event", "message"} <= record.keys() for record in records)
     assert not (tmp_path / "lock").exists()  # a replay measures nothing, so others may run beside it
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows ends a program without a signal")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+def test_a_measurement_that_is_told_to_end_leaves_nothing_behind(tmp_path: Path, number: signal.Signals) -> None:
+    """Its battery, which drains on the cable so as to be measured, is charged again; its pictures' folder is gone."""
+    tree = build_tree(tmp_path / "sys", {
+        "AC": {"type": "Mains", "online": 1},
+        "BAT0": {"type": "Battery", "present": 1, "status": "Discharging", "power_now": 9_000_000,
+                 "energy_now": 10_000_000, "energy_full": 50_000_000, "charge_behaviour": "[auto] force-discharge"},
+    })  # fmt: skip
+    online, pack = tree / "class/power_supply/AC/online", tree / "class/power_supply/BAT0"
+    online.write_text("0\n")
+    words = ["measure", "scene", "--renderer", RENDERER, "--sysfs-root", str(tree), "--charge-band", "90-30"]
+    scratch = tmp_path / "tmp"
+    scratch.mkdir()
+    start = "import joulebox_agent.measuring.charging as c; c.LOOK_EVERY_S = 0.1"
+    process = subprocess.Popen(
+        [sys.executable, "-c", f"{start}; from joulebox_agent.cli import main; main()", *words],
+        stderr=subprocess.PIPE, text=True, env=os.environ | {"TMPDIR": str(scratch)},
+    )  # fmt: skip
+    assert process.stderr is not None
+    try:
+        for line in process.stderr:
+            if "charging to 90%" in line:  # full at once, and the cable stays
+                online.write_text("1\n")
+                (pack / "energy_now").write_text("49000000\n")
+            if "waiting for a discharge" in line:
+                break
+        assert (pack / "charge_behaviour").read_text() == "force-discharge"
+        (pack / "charge_behaviour").write_text("auto [force-discharge]\n")  # as the kernel shows what it was told
+        process.send_signal(number)
+        rest = process.stderr.read()
+        code = process.wait(15)
+    finally:
+        process.kill()
+        process.wait()
+        process.stderr.close()
+    assert code == 128 + number
+    assert "Traceback" not in rest
+    assert (pack / "charge_behaviour").read_text() == "auto"
+    assert list(scratch.iterdir()) == []

@@ -352,6 +352,16 @@ def test_several_configurations_from_the_command_line(agent: Agent, tmp_path: Pa
     assert not progress.exists()  # the result is where it belongs
 
 
+def test_a_configuration_that_fails_is_said_and_costs_its_own_result_only(agent: Agent, tmp_path: Path) -> None:
+    file = tmp_path / "c.toml"
+    file.write_text("[[configurations]]\nseed = 1\n[[configurations]]\nsead = 2\n")
+    words = ("measure", "cornell", *SHORT, "--source", "replay@0.1", "--idle-s", "0", "--state-dir", tmp_path)
+    code, out, err = agent(*words, "--configurations", file)
+    assert code == 0
+    assert "cornell: " in out
+    assert "configuration 2 has no result: The renderer refused: There is no setting 'sead'" in err
+
+
 def test_a_plot_that_cannot_be_written_costs_no_result(agent: Agent, tmp_path: Path) -> None:
     plot = tmp_path / "p.svg"
     plot.mkdir()

@@ -199,6 +199,15 @@ LAYOUTS: dict[str, tuple[Nodes, float]] = {
         {"BAT0": battery(type="battery", power_now=9_000_000), "pen": battery(scope="device", power_now=4_000_000)},
         9.0,
     ),
+    "types of a phone in other letters": (
+        {
+            "battery": battery(current_now=380_500, voltage_now=3_955_000),
+            "bms": {"type": "bms", "current_now": -380_500, "voltage_now": 3_955_000, "online": 1},
+            "main": {"type": "MAIN", "online": 1},
+            "ups": {"type": "Ups", "online": 1},
+        },
+        0.3805 * 3.955,
+    ),
     "status in other letters": (
         {"battery": {"type": "Battery", "status": "DISCHARGING", "current_now": 500_000, "voltage_now": 3_900_000}},
         1.95,

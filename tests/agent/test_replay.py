@@ -105,3 +105,22 @@ def test_a_device_is_no_trace() -> None:
     """It may never end."""
     with pytest.raises(UsageError, match="is no file"):
         choose("replay:/dev/null")
+
+
+def test_a_recorded_zero_is_a_void_sample_not_a_free_picture() -> None:
+    """As of a gauge: no machine draws 0 W, and a picture of 0 J is no answer."""
+    clock = ScriptedClock()
+    source = Replay(parse_trace("t_s,power_w\n0,5\n1,0\n2,0.01\n", "t", as_json=False), clock=clock)
+    assert source.read().power_w == 5
+    for said in ("0 W", "0.01 W"):
+        clock.time_s += 1.0
+        reading = source.read()
+        assert (reading.power_w, reading.problem) == (None, f"the recording says {said}, which no machine draws")
+
+
+def test_a_trace_may_have_an_at_in_its_name(tmp_path: Path) -> None:
+    file = tmp_path / "me@home" / "t.csv"
+    file.parent.mkdir()
+    file.write_text("t_s,power_w\n0,4\n2,8\n")
+    assert parse_replay(f"replay:{file}").refresh_s is None
+    assert parse_replay(f"replay:{file}@0.5").refresh_s == 0.5

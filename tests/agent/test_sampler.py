@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,7 +12,7 @@ from pathlib import Path
 import psutil
 import pytest
 from joulebox_agent.errors import SourceUnavailableError
-from joulebox_agent.sampling.sampler import Sample
+from joulebox_agent.sampling.sampler import Sample, Sampler
 from joulebox_agent.sampling.sampler_child import decode, encode
 from joulebox_agent.sampling.sampler_process import SamplerProcess, sampler_cost
 from joulebox_agent.sampling.watch import FaultWatch, Patience
@@ -159,3 +160,37 @@ def test_what_voids_a_stretch_and_what_ends_it_all() -> None:
     assert "the sensor was lost" in str(watched(*steady(0.0, 1.0), *bad).end())
     pulled = watched(*steady(0.0, 1.0), (1.5, 0.0, Reading(power_w=3.0, epoch=1, raw=(1,))))
     assert "the set of batteries changed" in str(pulled.over(0.0, 9.0))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no timer that interrupts")
+def test_an_interrupt_while_the_sampler_starts_leaves_nothing_to_wait_for(tree: Tree) -> None:
+    """The limit of its start is a timer of its own, and no program ends before its timers."""
+    root = tree("thinkpad_power_now")
+    sampler = SamplerProcess(choose("auto", root), root)
+    sampler._command = [sys.executable, "-S", "-E", "-c", "import sys; sys.stdin.read()"]
+
+    def interrupt(number: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGALRM, interrupt)
+    signal.setitimer(signal.ITIMER_REAL, 0.3)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            sampler.start()
+    finally:
+        signal.signal(signal.SIGALRM, before)
+        sampler.stop()
+    until(lambda: not any(isinstance(thread, threading.Timer) for thread in threading.enumerate()), 5.0)
+
+
+def test_a_pause_is_one_while_nothing_is_sampled(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A charge is waited for with the sampler stopped; a pause that returned at once would keep a core busy."""
+    root, waited_s = tree("thinkpad_power_now"), list[float]()
+    choice = choose("auto", root)
+    for sampler in (Sampler(choice.source), SamplerProcess(choice, root)):
+        sampler.start()
+        sampler.stop()
+        with monkeypatch.context() as patched:
+            patched.setattr(time, "sleep", waited_s.append)
+            sampler.pause(7200.0)
+    assert waited_s == [7200.0, 7200.0]

@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 from joulebox_agent.errors import AgentError, UsageError
-from joulebox_agent.measuring.blocks import control_drift, shuffled
+from joulebox_agent.measuring.blocks import Course, control_drift, shuffled
 from joulebox_agent.measuring.charging import Band, Charging
 from joulebox_agent.measuring.configurations import read_configurations
 from joulebox_agent.measuring.journal import Journal
 from joulebox_agent.measuring.meter import Meter, StoppedError
 from joulebox_agent.measuring.rule import MeasureRule
-from joulebox_agent.measuring.session import Configuration, Course, Session
+from joulebox_agent.measuring.session import Configuration, Session
 from joulebox_agent.measuring.several import build_results
 from joulebox_agent.measuring.visit import Job
 from joulebox_agent.sources.choose import choose

@@ -1,7 +1,11 @@
 """The command `joulebox-agent`: exit code 0 good, 1 failed, 2 wrong use; failures are one sentence."""
 
+import contextlib
 import os
+import signal
 import sys
+from collections.abc import Iterator
+from types import FrameType
 
 import typer
 
@@ -37,11 +41,31 @@ def _options(
     pass
 
 
+@contextlib.contextmanager
+def _ended_in_order() -> Iterator[None]:
+    """The signals that end a program unwind it as Ctrl-C does: its renderer is stopped, its folder removed, a battery
+    that drains on its cable charged again. One that is ignored (nohup) stays ignored."""
+
+    def end(number: int, frame: FrameType | None) -> None:
+        sys.exit(128 + number)
+
+    known = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    taken = [number for number in known if signal.getsignal(number) is signal.SIG_DFL]
+    for number in taken:
+        signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number in taken:
+            signal.signal(number, signal.SIG_DFL)
+
+
 def main() -> None:
     """Entry point of the command."""
     try:
         try:
-            app()
+            with _ended_in_order():
+                app()
         finally:
             sys.stdout.flush()
     except AgentError as error:

@@ -134,6 +134,8 @@ def _carried_out(
     if several:
         all_of_them = build_results(session, configurations, planned.rule, planned.course, calibration)
         results = [result for result in all_of_them.results if result]
+        for sentence in all_of_them.lacking():
+            listener.note(sentence)
         found = _Found(session, results, all_of_them.to_json(), void_everywhere(all_of_them))
     else:
         found = _only(session, configurations[0], planned, calibration)

@@ -10,7 +10,7 @@ import platformdirs
 import typer
 
 from joulebox_agent.errors import UsageError
-from joulebox_agent.measuring.blocks import Order
+from joulebox_agent.measuring.blocks import Course, Order
 from joulebox_agent.measuring.calibrating import companion_of
 from joulebox_agent.measuring.charging import Band, Charging, Forecast
 from joulebox_agent.measuring.configurations import Entry, read_configurations
@@ -18,7 +18,7 @@ from joulebox_agent.measuring.journal import Journal
 from joulebox_agent.measuring.measure import make_meter
 from joulebox_agent.measuring.meter import Listener
 from joulebox_agent.measuring.rule import MeasureRule
-from joulebox_agent.measuring.session import Configuration, Course, Session
+from joulebox_agent.measuring.session import Configuration, Session
 from joulebox_agent.measuring.visit import Job
 from joulebox_agent.sources.choose import KNOWN, Choice
 

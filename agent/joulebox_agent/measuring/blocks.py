@@ -19,6 +19,21 @@ Order = Literal["blocks", "sequence"]
 FALSE_ALARM = 0.05  # chance that a device that does not drift is flagged in one run
 
 
+@dataclass(frozen=True)
+class Course:
+    """How a session goes about its configurations.
+
+    order      blocks: randomised, one window of each a block; sequence: one configuration after the other
+    control    index of the configuration that is in every block
+    cool_to_c  wait for this temperature before every visit
+    """
+
+    order: Order = "sequence"
+    seed: int = 0
+    control: int = 0
+    cool_to_c: float | None = None
+
+
 def shuffled(members: Iterable[int], seed: int, block: int) -> list[int]:
     """The members in the order of this block; the same for the same seed."""
     order = sorted(members)

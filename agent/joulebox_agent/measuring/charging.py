@@ -2,7 +2,6 @@
 
 import math
 import shlex
-import shutil
 import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from pathlib import Path
 from joulebox_agent.conditions import read_conditions
 from joulebox_agent.errors import AgentError, UsageError
 from joulebox_agent.measuring.meter import Meter
+from joulebox_agent.process import program_words
 from joulebox_agent.sources.choose import unfit_reason
 from joulebox_agent.sources.power_supply import PowerSupplyClass
 from joulebox_agent.sources.sysfs import Sysfs
@@ -50,13 +50,7 @@ MEASURING_BAND = Band()
 
 def hook_words(hook: str) -> list[str]:
     """The words of a charge hook. Raises UsageError, before hours of measuring rather than at the first charge."""
-    try:
-        words = shlex.split(hook)
-    except ValueError as error:
-        raise UsageError(f"The charge hook {hook!r} is no command: {error}.") from error
-    if not words or shutil.which(words[0]) is None:
-        raise UsageError(f"The charge hook {hook!r} is not a program on this machine.")
-    return words
+    return program_words(hook, "charge hook", "--charge-hook")
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from joulebox_agent.errors import RendererError
 from joulebox_agent.estimates.energies import window_energies
 from joulebox_agent.estimates.estimate import two_stage_interval, windows_needed
 from joulebox_agent.loop import RendererLoop
-from joulebox_agent.measuring.blocks import Drift, Order, control_drift, mark_suspects, shuffled
+from joulebox_agent.measuring.blocks import Course, Drift, control_drift, mark_suspects, shuffled
 from joulebox_agent.measuring.charging import Charging
 from joulebox_agent.measuring.journal import Journal
 from joulebox_agent.measuring.meter import Meter
@@ -28,21 +28,6 @@ class Configuration:
     job: Job
     label: str = ""
     timed_only: bool = False
-
-
-@dataclass(frozen=True)
-class Course:
-    """How a session goes about its configurations.
-
-    order      blocks: randomised, one window of each a block; sequence: one configuration after the other
-    control    index of the configuration that is in every block
-    cool_to_c  wait for this temperature before every visit
-    """
-
-    order: Order = "sequence"
-    seed: int = 0
-    control: int = 0
-    cool_to_c: float | None = None
 
 
 class Session:

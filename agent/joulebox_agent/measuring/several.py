@@ -9,11 +9,12 @@ from joulebox_agent.estimates.energies import window_energies
 from joulebox_agent.estimates.estimate import Interval, two_stage_interval
 from joulebox_agent.estimates.stage_power import METHOD, FitError, StagePowerFit, WindowTotals, fit_stage_powers
 from joulebox_agent.estimates.windows import Window
+from joulebox_agent.measuring.blocks import Course
 from joulebox_agent.measuring.document import EnergyPerImage, MeasureDocument, StageEnergy, StageIntervals
 from joulebox_agent.measuring.recording import Recording
 from joulebox_agent.measuring.result import Result, build_result, usable_windows
 from joulebox_agent.measuring.rule import MeasureRule
-from joulebox_agent.measuring.session import Configuration, Course, Session
+from joulebox_agent.measuring.session import Configuration, Session
 from joulebox_agent.sampling.series import PowerSeries
 from joulebox_agent.sources.reading import Quality
 
@@ -27,6 +28,11 @@ class SeveralResults:
     powers: StagePowerFit | None
     powers_reason: str | None
     control: dict[str, Any]
+
+    def lacking(self) -> list[str]:
+        """A sentence for every configuration that has nothing which may be used."""
+        reasons = [r.document.void if r else f for r, f in zip(self.results, self.failures, strict=True)]
+        return [f"configuration {at} has no result: {why}" for at, why in enumerate(reasons, start=1) if why]
 
     def to_json(self) -> dict[str, Any]:
         """The document of `measure --configurations ... --json`."""

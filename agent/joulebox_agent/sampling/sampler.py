@@ -39,7 +39,7 @@ class Sampling(Protocol):
         """Ends the reading; samples stay. Safe to call again."""
 
     def pause(self, seconds: float) -> None:
-        """Waits, or returns at once when stopped."""
+        """Waits, whether it reads meanwhile or not: a charge takes hours, in which nothing is sampled."""
 
     def sample(self) -> None:
         """One sample now, there when this returns: a fast counter is to be known at a window's edge."""
@@ -124,7 +124,7 @@ class Sampler(SampleLog):
             self._thread.join()
 
     def pause(self, seconds: float) -> None:
-        self._ended.wait(seconds)
+        time.sleep(seconds)
 
     def sample(self) -> None:
         """Takes one sample now: the poll's own step, and what a caller does at the edge of a window."""

@@ -72,7 +72,7 @@ class SamplerProcess(SampleLog):
             self._reader.join(END_WITHIN_S)
 
     def pause(self, seconds: float) -> None:
-        self._ended.wait(seconds)
+        time.sleep(seconds)
 
     def sample(self) -> None:
         asked_s = self._clock.now_s()
@@ -122,8 +122,13 @@ class SamplerProcess(SampleLog):
         assert self._process.stdout is not None
         timer = threading.Timer(READY_WITHIN_S, self._process.kill)
         timer.start()
-        first = self._process.stdout.readline()
-        timer.cancel()
+        try:
+            first = self._process.stdout.readline()
+        except BaseException:  # Ctrl-C, while the child is still on its way
+            _end(self._process)
+            raise
+        finally:
+            timer.cancel()  # no program ends before its timers
         try:
             told = json.loads(first)
         except ValueError:

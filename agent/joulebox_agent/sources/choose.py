@@ -155,9 +155,10 @@ def unfit_reason(name: str, sysfs_root: Path = SYSTEM_ROOT) -> str | None:
 
 def parse_replay(name: str) -> Replay:
     """`replay`, `replay:FILE`, either with `@SECONDS` for a gauge that refreshes that often."""
-    body, at, refresh = name.removeprefix("replay").rpartition("@")
-    if not at:
-        body, refresh = refresh, ""
+    whole = name.removeprefix("replay")
+    body, at, refresh = whole.rpartition("@")
+    if not at or Path(whole.removeprefix(":")).is_file():  # a folder or a file may have an @ in its name
+        body, refresh = whole, ""
     try:
         refresh_s = float(refresh) if refresh else None
     except ValueError:

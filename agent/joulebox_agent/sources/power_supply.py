@@ -15,8 +15,8 @@ from joulebox_agent.sources.sysfs import PERMISSION_ERRNOS, UNUSABLE_ERRNOS, Sys
 
 MICRO = 1e-6
 # Neither a pack nor a cable: gauges and chargers beside a phone's battery, and a UPS, which may feed a monitor too.
-GAUGE_TYPES = ("BMS", "Main", "Parallel")
-UPS = "UPS"
+GAUGE_TYPES = ("bms", "main", "parallel")
+UPS = "ups"
 RATES = ("power_now", "current_now", "power_avg", "current_avg", "voltage_now")
 COUNTERS = ("energy_now", "charge_now")
 ANDROIDS_CHARGE = "charge_counter"
@@ -72,10 +72,10 @@ class PowerSupplyClass:
             return
         packs, cables, ups = [], [], []
         for folder in (self.folder / name for name in names):
-            kind = self.sysfs.value(folder / "type") or ""
-            if not kind or kind in GAUGE_TYPES or _is(self.sysfs.value(folder / "scope"), "Device"):
+            kind = _word(self.sysfs.value(folder / "type"))
+            if not kind or kind in GAUGE_TYPES or _word(self.sysfs.value(folder / "scope")) == "device":
                 continue
-            if _is(kind, "Battery"):
+            if kind == "battery":
                 packs.append(folder)
             elif kind == UPS:
                 ups.append(folder.name)
@@ -188,9 +188,9 @@ class PowerSupplyClass:
         return common_step("charge") * MICRO * voltage_uv * MICRO * JOULES_PER_WH or None
 
 
-def _is(word: str | None, wanted: str) -> bool:
-    """Drivers outside the kernel write the words in letters of their own."""
-    return word is not None and word.casefold() == wanted.casefold()
+def _word(content: str | None) -> str:
+    """A driver's word in small letters, as those outside the kernel write them in letters of their own."""
+    return (content or "").casefold()
 
 
 def _tells_energy(folder: Path) -> bool:

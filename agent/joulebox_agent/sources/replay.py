@@ -13,6 +13,7 @@ from pathlib import Path
 
 from joulebox_agent.clock import Clock, SystemClock
 from joulebox_agent.errors import UsageError
+from joulebox_agent.sources.packs import LOWEST_W
 from joulebox_agent.sources.reading import Primary, Quality, Reading, SourceReport
 
 BUNDLED_TRACE = "scripted_laptop_48wh.csv"
@@ -120,9 +121,9 @@ class Replay:
         if self.refresh_s is None:
             rounds, at_s = divmod(elapsed_s, self.trace.period_s)
             row = bisect_right(self.trace.times_s, at_s) - 1
-            return Reading(power_w=self.trace.power_w[row], raw=(rounds, row))
+            return _reading(self.trace.power_w[row], (rounds, row))
         tick = math.floor(elapsed_s / self.refresh_s)
-        return Reading(power_w=self._interpolated(tick * self.refresh_s), raw=(tick,))
+        return _reading(self._interpolated(tick * self.refresh_s), (tick,))
 
     def _interpolated(self, elapsed_s: float) -> float:
         trace = self.trace
@@ -132,3 +133,10 @@ class Replay:
             return trace.power_w[row]
         share = (at_s - trace.times_s[row]) / (trace.times_s[row + 1] - trace.times_s[row])
         return trace.power_w[row] + share * (trace.power_w[row + 1] - trace.power_w[row])
+
+
+def _reading(power_w: float, raw: tuple[int | float, ...]) -> Reading:
+    """What was recorded, judged as a gauge's own rate is: 0 W is a gauge that did not know."""
+    if power_w < LOWEST_W:
+        return Reading(raw=raw, problem=f"the recording says {power_w:.3g} W, which no machine draws")
+    return Reading(power_w=power_w, raw=raw)
