@@ -20,6 +20,10 @@ class SourceUnavailableError(AgentError):
     """The asked energy source cannot be read on this machine; the text carries the remedy."""
 
 
+class ChargingError(AgentError):
+    """The battery cannot be charged as planned: the hook failed."""
+
+
 class RendererError(AgentError):
     """The renderer died, hung, or wrote something that is not the loop protocol."""
 

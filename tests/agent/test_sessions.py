@@ -252,6 +252,20 @@ def test_a_hook_that_fails_is_one_sentence(machine: Machine, tmp_path: Path) -> 
         Bench(machine, tmp_path, MIXES[:1], charging=charging).session.run()
 
 
+def test_a_plug_that_fails_later_leaves_what_was_measured(tmp_path: Path) -> None:
+    machine = Machine(tmp_path / "sys", gauge_s=4.0, charge_wh=0.335 * FULL_WH, charger_w=200.0)
+    charging = Charging(Band(0.34, 0.3), machine.root, "battery_gauge", "false")
+    bench = Bench(machine, tmp_path, MIXES[:2], RULE.model_copy(update={"half_width": 0.5}), charging=charging)
+    records = bench.session.run()
+    done, missing = [[r for r in records if (len(r.windows) >= RULE.min_windows) is enough] for enough in (True, False)]
+    assert done
+    assert missing
+    assert all(record.void is None for record in done)
+    for record in missing:
+        assert record.environment
+        assert "The charge hook false on left with code 1" in str(record.void)
+
+
 def test_charge_behaviour_is_used_where_the_kernel_has_it(machine: Machine, tmp_path: Path) -> None:
     file = machine.battery / "charge_behaviour"
     file.write_text("auto inhibit-charge [force-discharge]")

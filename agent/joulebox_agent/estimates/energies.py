@@ -189,7 +189,7 @@ def _short_windows(series: PowerSeries, windows: list[Window]) -> list[str]:
         return []
     held = windows[0].wall_s / refresh_s
     return [
-        f"short windows: {windows[0].wall_s:.1f} s hold {held:.1f} gauge refreshes of {refresh_s:.1f} s, "
+        f"short windows: {windows[0].wall_s:.1f} s hold {held:.1f} gauge refreshes of {refresh_s:.3g} s, "
         f"{ADVISED_REFRESHES} are advised"
     ]
 

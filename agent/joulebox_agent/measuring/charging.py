@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from joulebox_agent.conditions import read_conditions
-from joulebox_agent.errors import AgentError, UsageError
+from joulebox_agent.errors import ChargingError, UsageError
 from joulebox_agent.measuring.meter import Meter
 from joulebox_agent.process import program_words
 from joulebox_agent.sources.choose import unfit_reason
@@ -130,7 +130,7 @@ class Charging:
         return Forecast(time_s, energy_j, math.ceil(further_j / charge_j))
 
     def charge(self, meter: Meter) -> None:
-        """Waits for a charge up to the band's upper end, then for a discharge. Raises StoppedError, AgentError."""
+        """Waits for a charge up to the band's upper end, then for a discharge. Raises StoppedError, ChargingError."""
         said = ""
         try:
             while (reason := self.step(meter.clock.now_s(), meter.listener.note)) is not None:
@@ -144,7 +144,7 @@ class Charging:
         meter.listener.note(f"discharging from {self.share() or 0.0:.0%}")
 
     def wait_for_discharge(self, meter: Meter) -> None:
-        """Waits until the machine runs from its battery. Raises StoppedError, AgentError."""
+        """Waits until the machine runs from its battery. Raises StoppedError, ChargingError."""
         self._unplugging = True
         self.charge(meter)
 
@@ -154,7 +154,7 @@ class Charging:
             self._set_behaviour("auto", say)
 
     def step(self, now_s: float, say: Callable[[str], None], reserve: float = 0.0) -> str | None:
-        """Does what is due now and returns why measuring has to wait, or None. Raises AgentError (the hook)."""
+        """Does what is due now and returns why measuring has to wait, or None. Raises ChargingError (the hook)."""
         share = self.share()
         if self._charging or (share is not None and share - reserve <= self.band.low):
             if not self._charging or self._since_s == math.inf:
@@ -204,10 +204,10 @@ class Charging:
                 command, capture_output=True, text=True, timeout=HOOK_WITHIN_S, check=False, stdin=subprocess.DEVNULL
             )
         except (OSError, subprocess.TimeoutExpired) as error:
-            raise AgentError(f"The charge hook {shlex.join(command)} failed: {error}.") from error
+            raise ChargingError(f"The charge hook {shlex.join(command)} failed: {error}.") from error
         if done.returncode:
             said = (done.stderr.strip().splitlines() or ["it said nothing"])[-1]
-            raise AgentError(f"The charge hook {shlex.join(command)} left with code {done.returncode}: {said}")
+            raise ChargingError(f"The charge hook {shlex.join(command)} left with code {done.returncode}: {said}")
 
     def _set_behaviour(self, wanted: str, say: Callable[[str], None]) -> None:
         """Writes `charge_behaviour` of every pack whose kernel offers `wanted` and has another one selected."""

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from joulebox_agent.errors import RendererError
+from joulebox_agent.errors import ChargingError, RendererError
 from joulebox_agent.estimates.energies import window_energies
 from joulebox_agent.estimates.estimate import two_stage_interval, windows_needed
 from joulebox_agent.loop import RendererLoop
@@ -250,27 +250,36 @@ class Session:
         return self._charging is not None and self._charging.must_charge()
 
     def _charged(self, index: int) -> bool:
-        """Waits for a charge where one is due; False where nobody waits for it and the configuration ends."""
+        """Waits for a charge where one is due; False where nobody waits for it, or it fails, and the configuration ends
+        with the windows that it has. Raises AgentError where charging fails before any window."""
         if self._charging is None or not self._charging.must_charge():
             return True
         self._look_back()
         self._commit()
+        why, next_may_do = self._charging.used_up(), not self._charging.from_full(self._began_share)
         if self._charging.waits:
-            self._pause_sampling(self._charging.charge)
-            return True
+            try:
+                self._pause_sampling(self._charging.charge)
+                return True
+            except ChargingError as error:
+                if not any(record.windows for record in self.records):
+                    raise
+                why, next_may_do = str(error).removesuffix("."), True
         record, done = self.records[index], len(self.records[index].windows)
-        words = f"{self._charging.used_up()} after {done} of {self._wanted[index]} windows"
+        words = f"{why} after {done} of {self._wanted[index]} windows"
         self._given_up.add(index)
         if done >= self._rule.min_windows:
             record.note(words)
-        else:  # after a whole charge the next one would not do either
-            record.make_void(words, environment=not self._charging.from_full(self._began_share))
+        else:
+            record.make_void(words, environment=next_may_do)
         return False
 
     def _pause_sampling(self, wait: Callable[[Meter], None]) -> None:
         self._meter.stop()
-        wait(self._meter)
-        self._meter.start()
+        try:
+            wait(self._meter)
+        finally:
+            self._meter.start()
 
     def _commit(self) -> bool:
         if self._journal is None:
