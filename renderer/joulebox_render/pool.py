@@ -56,9 +56,10 @@ class WorkerPool:
         Up to `together` chunks are made as one, as far as all threads still get some. Raises what a chunk raised, or,
         after `stop`, StoppedError in place of the next chunk.
         """
-        most = max(1, self.chunk_rays // max(1, rays_per_item))
-        fair = max(-(-most // SMALLEST_SHARE), -(-count // self.threads))
-        ranges = self._cut(count, min(-(-together * most // SMALLEST_SHARE), fair), together * most)
+        most = together * max(1, self.chunk_rays // max(1, rays_per_item))
+        # Where all threads get some only of smaller chunks, these are not as small as to be worth nothing.
+        smallest = max(-(-most // (SMALLEST_SHARE * together * together)), -(-count // (2 * self.threads)))
+        ranges = self._cut(count, min(-(-most // SMALLEST_SHARE), smallest), most)
         results: dict[int, T] = {}
         waiting = deque(enumerate(ranges))
         taking = threading.Lock()
@@ -111,7 +112,8 @@ class WorkerPool:
         while (first := ranges[-1][1] if ranges else 0) < count:
             fair = -(-(count - first) // self.threads)
             size = even if self.threads == 1 else min(most, max(least, fair))
-            ranges.append((first, min(first + size, count)))
+            # A small rest goes along with the last.
+            ranges.append((first, first + size if first + size + least // 2 < count else count))
         return ranges
 
     def stop(self) -> None:

@@ -109,6 +109,8 @@ def ask_map(context: Context, light: Illumination, rays: Rays, hits: Hits, stret
     unknown: list[Points] = []
     if asks and not last and light.has_table:
         near, rest = light.answer(context, rays, hits, radiance)
+        if not len(rest):
+            return near
         unknown.append(near)
         rays, hits = Rays(*rows(rays, rest)), Hits(*rows(hits, rest))
     reached = follow_to_diffuse(
