@@ -12,13 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from joulebox_render.clock import StageClock
-from joulebox_render.kernels.gathering import add_weighted
 from joulebox_render.records import F4, F8, Camera, Points
 from joulebox_render.stages.context import Context
 from joulebox_render.stages.density import caustic_estimate, global_estimate, show_photons
 from joulebox_render.stages.direct import light_directly
 from joulebox_render.stages.eye import look
-from joulebox_render.stages.gather import final_gather, trace_paths
+from joulebox_render.stages.gather import add_to_owners, final_gather, trace_paths
 from joulebox_render.stages.irradiance_cache import IrradianceCache, cached_gather, fill_cache
 from joulebox_render.stages.photon_map import PhotonMap, build_photon_map, emit_and_store
 from joulebox_render.stages.precomputed import Illumination, IrradianceRecords, precompute_irradiance
@@ -113,14 +112,15 @@ def light_points(
     """Add direct light, indirect light and caustics at points to their pixels' radiance (pixels, 3) f8."""
     with clock.stage("direct", through_specular=through_specular) as interval:
         direct = light_directly(context, points, maps.shadow_map.cells if maps.shadow_map else None)
-        add_weighted(points, direct.radiance, radiance)
+        add_to_owners(context, points, direct.radiance, radiance)
         interval.rays_saved += direct.rays_saved
     if context.plan.indirect:
         with clock.stage("indirect", through_specular=through_specular):
-            add_weighted(points, indirect_light(context, maps, points), radiance)
+            add_to_owners(context, points, indirect_light(context, maps, points), radiance)
     if maps.caustic_map is not None:
         with clock.stage("caustics", through_specular=through_specular):
-            add_weighted(points, show_photons(context, caustic_estimate(context, maps.caustic_map), points), radiance)
+            shown = show_photons(context, caustic_estimate(context, maps.caustic_map), points)
+            add_to_owners(context, points, shown, radiance)
 
 
 def indirect_light(context: Context, maps: Maps, points: Points) -> F8:

@@ -336,4 +336,7 @@ def rows(record: NamedTuple, selection: slice | npt.NDArray[np.integer | np.bool
 
     A slice gives views of the record's own arrays, which must then not be written to.
     """
-    return tuple(np.ascontiguousarray(column[selection]) for column in record)
+    if isinstance(selection, slice):
+        return tuple([column[selection] for column in record])
+    chosen = np.flatnonzero(selection) if selection.dtype == np.bool_ else selection
+    return tuple([column.take(chosen, axis=0) for column in record])

@@ -27,6 +27,8 @@ FRONT: list[Values] = [
     {"preset": "draft", "samples_per_pixel": 2, "shadow_rays": 4, "irradiance_cache_tolerance": 1.5,
      "gather_distance_m": 0.03, "final_gather_rays": 80},
     {"preset": "draft", "samples_per_pixel": 2, "shadow_rays": 4, "irradiance_cache_tolerance": 1.5,
+     "gather_distance_m": 0.03, "final_gather_rays": 90, "global_photons": 20_000},
+    {"preset": "draft", "samples_per_pixel": 2, "shadow_rays": 4, "irradiance_cache_tolerance": 1.5,
      "gather_distance_m": 0.03, "final_gather_rays": 100, "global_photons": 20_000},
     {"preset": "draft", "final_gather_rays": 100, "global_photons": 20_000},
     {"preset": "draft", "final_gather_rays": 256, "caustic_photons": 60_000},

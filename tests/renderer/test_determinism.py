@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 from joulebox_render import integrator
+from joulebox_render.errors import StoppedError
+from joulebox_render.pool import WorkerPool
 from joulebox_render.settings import Settings
 
 SIZE: dict[str, Any] = {
@@ -63,12 +66,46 @@ def test_the_same_session_renders_the_same_image_again(open_session: Callable[..
     assert session.render().pixel_sha256 == session.render().pixel_sha256
 
 
-def test_threads_take_part(open_session: Callable[..., Any]) -> None:
-    """Work does go to as many threads as asked for."""
-    session = open_session("cornell-boxes", chunk_rays=500, **{**SIZE, "threads": 3})
-    assert session.build()["threads"] == 3
-    session.render()
-    assert len(session.context.pool._executor._threads) == 3
+def test_threads_take_part() -> None:
+    """Work does go to as many threads as asked for: each chunk waits for two others to be at work."""
+    together = threading.Barrier(3, timeout=10)
+
+    def work(first: int, last: int) -> int:
+        together.wait()
+        return threading.get_ident()
+
+    with WorkerPool(3, chunk_rays=1) as pool:
+        assert len(set(pool.map_chunks(work, 3, 1))) == 3
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_chunks_cover_the_work_once_and_in_order(threads: int) -> None:
+    with WorkerPool(threads, chunk_rays=100) as pool:
+        for count in (0, 1, 7, 99, 100, 101, 1234):
+            for rays, together in ((1, 1), (9, 1), (9, 4), (1000, 4)):
+                spans = pool.map_chunks(lambda first, last: (first, last), count, rays, together)
+                assert [row for first, last in spans for row in range(first, last)] == list(range(count))
+                assert max((last - first for first, last in spans), default=0) <= together * max(1, 100 // rays)
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_what_a_chunk_raises_ends_the_work(threads: int) -> None:
+    """Whichever thread it is on; an IndexError, too, which a chunk that is out of work might be mistaken for."""
+    done: list[int] = []
+
+    def work(first: int, last: int) -> None:
+        if first == 5:
+            raise IndexError("chunk 5")
+        done.append(first)
+
+    with WorkerPool(threads, chunk_rays=1) as pool:
+        with pytest.raises(IndexError, match="chunk 5"):
+            pool.map_chunks(work, 10_000, 1)
+        assert len(done) < 10_000
+        assert pool.map_chunks(lambda first, last: first, 3, 1) == [0, 1, 2]
+        pool.stop()
+        with pytest.raises(StoppedError):
+            pool.map_chunks(work, 3, 1)
 
 
 def test_every_bit_of_a_seed_counts(render: Render) -> None:

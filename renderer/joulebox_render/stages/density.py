@@ -112,5 +112,5 @@ def show_photons(context: Context, estimate: DensityEstimate, points: Points) ->
         irradiance = estimate(points.position[first:last], points.normal[first:last], keys[first:last]).irradiance
         return points.albedo[first:last].astype(np.float64) / math.pi * irradiance
 
-    parts = list(context.pool.map_chunks(chunk, len(points.owner), RAYS_PER_ESTIMATE))
+    parts = context.pool.map_chunks(chunk, len(points.owner), RAYS_PER_ESTIMATE)
     return np.concatenate(parts) if parts else np.zeros((0, 3))

@@ -24,18 +24,17 @@ class DirectLight(NamedTuple):
 def light_directly(context: Context, points: Points, cells: ShadowCells | None = None) -> DirectLight:
     """Reflected radiance of light that arrives unscattered; `cells` tell where no shadow rays are needed."""
     samples = context.settings.shadow_rays
+    radiance = np.empty((len(points.owner), 3))
 
-    def chunk(first: int, last: int) -> DirectLight:
+    def chunk(first: int, last: int) -> int:
         if cells is None:
-            return DirectLight(sample_lights(context, points, first, last, samples), 0)
-        return _sample_unknown(context, cells, points, first, last, samples)
+            radiance[first:last] = sample_lights(context, points, first, last, samples)
+            return 0
+        radiance[first:last], saved = _sample_unknown(context, cells, points, first, last, samples)
+        return saved
 
     # A chunk holds the rays to one light at a time.
-    chunks = list(context.pool.map_chunks(chunk, len(points.owner), samples))
-    if not chunks:
-        return DirectLight(np.zeros((0, 3)), 0)
-    radiance, saved = zip(*chunks, strict=True)
-    return DirectLight(np.concatenate(radiance), sum(saved))
+    return DirectLight(radiance, sum(context.pool.map_chunks(chunk, len(points.owner), samples)))
 
 
 def sample_lights(context: Context, points: Points, first: int, last: int, samples: int) -> F8:

@@ -10,7 +10,7 @@ import numpy as np
 from joulebox_render.kernels.transport import CAMERA_STREAM, camera_rays
 from joulebox_render.records import F8, Camera, Points, Rays
 from joulebox_render.stages.context import Context, grid
-from joulebox_render.stages.paths import follow_to_diffuse, join
+from joulebox_render.stages.paths import follow_to_diffuse
 
 # Streams of random numbers between one look at the picture and the next.
 OVERTURE_STREAMS = 100
@@ -70,9 +70,11 @@ def look(
             part.owner[:] += first
         return emitted, parts
 
-    chunks = list(context.pool.map_chunks(chunk, pixel_count, samples))
+    chunks = context.pool.map_chunks(chunk, pixel_count, samples)
     return Sight(
         emitted=np.concatenate([emitted for emitted, _ in chunks]),
-        direct=join([parts[0] for _, parts in chunks]),
-        through_specular=join([part for _, parts in chunks for part in parts[1:]]),
+        direct=context.pool.join([parts[0] for _, parts in chunks]),
+        through_specular=context.pool.join(
+            [part for _, parts in chunks for part in parts[1:] if len(part.owner)] or [Points.empty(0)]
+        ),
     )

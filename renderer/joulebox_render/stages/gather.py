@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -25,8 +25,9 @@ NOT_BENT: F4 = np.empty((0, CELL_ROWS * CELL_COLUMNS), np.float32)
 MAX_PATH_BOUNCES = 1000
 # A gather ray's stretches shorter than the photon map's resolution that are gathered again before it is asked.
 MOST_SHORT = 8
-# Chunks whose gathers are made as one.
-MOST_TOGETHER = 8
+# Chunks of gathers that go together, so that the few second gathers they leave are traced in batches that are worth
+# their arrays.
+MOST_TOGETHER = 4
 
 
 def final_gather(context: Context, light: Illumination, points: Points, count: int) -> F8:
@@ -40,18 +41,7 @@ def final_gather(context: Context, light: Illumination, points: Points, count: i
         reflect_mean(points, first, last, count, incident, radiance)
         return radiance
 
-    gathers = len(points.owner)
-    return collect(context.pool.map_chunks(chunk, gathers, rays_per_gather(context, gathers, count)))
-
-
-def rays_per_gather(context: Context, gathers: int, count: int) -> int:
-    """What a final gather of `count` rays counts for when work is cut into chunks.
-
-    Up to MOST_TOGETHER chunks' worth of rays go together, as far as all threads still get some, so that the few second
-    gathers they leave are traced in batches that are worth their arrays.
-    """
-    together = gathers * count // (context.pool.threads * context.pool.chunk_rays)
-    return max(1, count // max(1, min(MOST_TOGETHER, together)))
+    return collect(context.pool.map_chunks(chunk, len(points.owner), count, MOST_TOGETHER))
 
 
 def aim_gather(
@@ -119,6 +109,8 @@ def ask_map(context: Context, light: Illumination, rays: Rays, hits: Hits, stret
     unknown: list[Points] = []
     if asks and not last and light.has_table:
         near, rest = light.answer(context, rays, hits, radiance)
+        if not len(rest):
+            return near
         unknown.append(near)
         rays, hits = Rays(*rows(rays, rest)), Hits(*rows(hits, rest))
     reached = follow_to_diffuse(
@@ -136,6 +128,24 @@ def ask_map(context: Context, light: Illumination, rays: Rays, hits: Hits, stret
             unknown.append(Points(*rows(near, slice(0, count))))
         add_reflected(far, irradiance, radiance)
     return join(unknown)
+
+
+def add_to_owners(context: Context, points: Points, value: F8, radiance: F8) -> None:
+    """Add weight x value (points, 3) of each point to its owner's radiance (owners, 3) f8, in the points' order.
+
+    Each thread adds to owners of its own. Behind mirrors and glass points do not come in the order of their owners:
+    there one thread adds them all.
+    """
+    owner = points.owner
+    if (owner[1:] < owner[:-1]).any():
+        add_weighted(points, value, radiance)
+        return
+
+    def chunk(first: int, last: int) -> None:
+        own = slice(*np.searchsorted(owner, (first, last)))
+        add_weighted(Points(*rows(points, own)), value[own], radiance)
+
+    context.pool.map_chunks(chunk, len(radiance), -(-len(owner) // len(radiance)))
 
 
 def add_reflected(points: Points, irradiance: F4, radiance: F8) -> None:
@@ -174,6 +184,6 @@ def trace_paths(context: Context, points: Points) -> F8:
     return collect(context.pool.map_chunks(chunk, len(points.owner), 8))
 
 
-def collect(chunks: Iterable[F8]) -> F8:
+def collect(chunks: Sequence[F8]) -> F8:
     """Radiance of all chunks in order."""
     return np.concatenate([np.zeros((0, 3)), *chunks])

@@ -22,7 +22,7 @@ from joulebox_render.kernels.irradiance import (
 from joulebox_render.records import F4, F8, I4, I8, U1, Camera, Points, rows
 from joulebox_render.stages.context import Context
 from joulebox_render.stages.eye import camera_frame, look
-from joulebox_render.stages.gather import NOT_BENT, aim_gather, final_gather, incident_radiance, rays_per_gather
+from joulebox_render.stages.gather import MOST_TOGETHER, NOT_BENT, aim_gather, final_gather, incident_radiance
 from joulebox_render.stages.paths import join
 from joulebox_render.stages.precomputed import Illumination
 
@@ -188,8 +188,7 @@ def gather_grids(
         )  # fmt: skip
         return part
 
-    gathers = len(points.owner)
-    parts = list(context.pool.map_chunks(chunk, gathers, rays_per_gather(context, gathers, count)))
+    parts = context.pool.map_chunks(chunk, len(points.owner), count, MOST_TOGETHER)
     return CacheRecords(*map(np.concatenate, zip(CacheRecords.empty(0), *parts, strict=True))), doubt
 
 
@@ -243,17 +242,21 @@ def interpolate(context: Context, cache: IrradianceCache, points: Points, share:
         under = context.intersector.occluded(points.position[first:last], points.normal[first:last], HEADROOM * radius)
         found[first:last] = (radius > 0) & (under == 0)
 
-    for _ in context.pool.map_chunks(chunk, len(points.owner), RAYS_PER_LOOKUP):
-        pass
+    context.pool.map_chunks(chunk, len(points.owner), RAYS_PER_LOOKUP)
     return irradiance, found
 
 
 def cached_gather(context: Context, cache: IrradianceCache, light: Illumination, points: Points) -> F8:
     """Radiance (points, 3) f8 that points reflect of indirect light; gathered where no record reaches."""
     irradiance, found = interpolate(context, cache, points)
-    radiance = points.albedo * irradiance / math.pi
+    radiance = np.empty((len(points.owner), 3))
+
+    def reflect(first: int, last: int) -> None:
+        radiance[first:last] = points.albedo[first:last] * irradiance[first:last] / math.pi
+
+    context.pool.map_chunks(reflect, len(radiance), 1)
     missing = np.flatnonzero(found == 0)
     # The samples of a pixel share the noise of its own gathers as records share theirs with many pixels.
     count = max(LEAST_RAYS, context.settings.final_gather_rays // context.settings.samples_per_pixel)
-    radiance[missing] = final_gather(context, light, Points(*rows(points, missing)), count)
-    return radiance.astype(np.float64)
+    radiance[missing] = final_gather(context, light, Points(*rows(points, missing)), count).astype(np.float32)
+    return radiance

@@ -57,7 +57,8 @@ def follow_to_diffuse(
 
 
 def join(parts: list[Points]) -> Points:
-    """One record of several, in order."""
-    if len(parts) == 1:
-        return parts[0]
-    return Points(*(np.concatenate(columns) for columns in zip(*parts, strict=True))) if parts else Points.empty(0)
+    """One record of several, in order; the only one that holds any is taken as it is."""
+    filled = [part for part in parts if len(part.owner)]
+    if len(filled) > 1:
+        return Points(*map(np.concatenate, zip(*filled, strict=True)))
+    return filled[0] if filled else Points.empty(0)

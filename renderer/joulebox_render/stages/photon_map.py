@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from joulebox_render.kernels.emission import emit_photons
 from joulebox_render.kernels.kdtree import LEAF, build_tree
@@ -84,6 +84,10 @@ class _Collector:
         # A full map's last photon tells how many emissions filled it.
         self.emitted = int(photons.number[chosen[-1]]) + 1 if self.full else min(emitted, self._bound)
 
+    def photons(self, pool: WorkerPool) -> Photons:
+        """All that it holds."""
+        return pool.join(self.parts) if self.parts else Photons.empty(0)
+
     def needs(self, emitted: int) -> int:
         """Emissions still needed at the yield so far, 0 once full or out of tries."""
         if self.full:
@@ -114,8 +118,8 @@ def emit_and_store(context: Context) -> Emission:
             shared.append(of_caustic)
     _fill(context, everywhere, EVERYWHERE, shared)
     return Emission(
-        _join(of_global.parts) if of_global else None, of_global.emitted if of_global else 0,
-        _join(of_caustic.parts) if of_caustic else None, of_caustic.emitted if of_caustic else 0,
+        of_global.photons(context.pool) if of_global else None, of_global.emitted if of_global else 0,
+        of_caustic.photons(context.pool) if of_caustic else None, of_caustic.emitted if of_caustic else 0,
     )  # fmt: skip
 
 
@@ -148,7 +152,7 @@ def global_histories(context: Context) -> tuple[int, ...]:
 def build_photon_map(photons: Photons, emitted: int, wanted: int, pool: WorkerPool | None = None) -> PhotonMap:
     """Put photons into a kd-tree and scale their flux by the number emitted."""
     tree, order = grow_tree(photons.position, photons.normal, pool)
-    flux, wi, history = _in_order(pool, order, photons.flux, photons.wi, photons.history)
+    flux, wi, history = in_order(pool, order, photons.flux, photons.wi, photons.history)
     flux /= np.float32(max(1, emitted))
     return PhotonMap(tree, flux, wi, history, order, len(photons.number), emitted, len(photons.number) >= wanted)
 
@@ -169,13 +173,13 @@ def grow_tree(position: F4, normal: F4, pool: WorkerPool | None = None) -> tuple
     for level in range(shared + 1):
         _grow_level(pool, columns, order, axis, plane, spans, depth if level == shared else 1)
         spans = [half for low, high in spans for half in ((low, (low + high) // 2), ((low + high) // 2, high))]
-    ordered_position, ordered_normal = _in_order(pool, order, position, normal)
+    ordered_position, ordered_normal = in_order(pool, order, position, normal)
     return Tree(ordered_position, ordered_normal, axis, plane), order
 
 
-def _in_order(pool: WorkerPool | None, order: I4, *columns: np.ndarray) -> list[np.ndarray]:
-    """Columns (N, ...) with their rows in another order (N,)."""
-    ordered = [np.empty_like(column) for column in columns]
+def in_order(pool: WorkerPool | None, order: npt.NDArray[np.integer], *columns: np.ndarray) -> list[np.ndarray]:
+    """Rows `order` (M,) of columns (N, ...)."""
+    ordered = [np.empty((len(order), *column.shape[1:]), column.dtype) for column in columns]
 
     def take(first: int, last: int) -> None:
         for column, result in zip(columns, ordered, strict=True):
@@ -185,7 +189,7 @@ def _in_order(pool: WorkerPool | None, order: I4, *columns: np.ndarray) -> list[
     if pool is None:
         take(0, len(order))
     else:
-        list(pool.map_chunks(take, len(order), 1))
+        pool.map_chunks(take, len(order), 1)
     return ordered
 
 
@@ -201,12 +205,12 @@ def _grow_level(
     if pool is None:
         grow(0, len(spans))
     else:
-        list(pool.map_chunks(grow, len(spans), pool.chunk_rays))
+        pool.map_chunks(grow, len(spans), pool.chunk_rays)
 
 
 def _trace_round(
     context: Context, aim: Aim, family: np.uint64, first_number: int, count: int, wanted: U1
-) -> Iterator[tuple[Photons, int]]:
+) -> list[tuple[Photons, int]]:
     """Emit `count` photons from number `first_number` on: (photons, emitted up to the chunk's end) a chunk."""
 
     def chunk(first: int, last: int) -> tuple[Photons, int]:
@@ -240,12 +244,8 @@ def trace_photons(
         parts.append(Photons(*rows(stored, slice(0, stored_count))))
         rays = Rays(*rows(following, slice(0, ray_count)))
         history = following_history[:ray_count]
-    photons = _join(parts)
+    photons = Photons(*map(np.concatenate, zip(Photons.empty(0), *parts, strict=True)))
     # In as few bits as will do: numpy sorts 16 and fewer in linear time.
     number = (photons.number - first_number).astype(np.min_scalar_type(count))
     order = np.argsort(number, kind="stable")
     return Photons(*rows(photons, order))
-
-
-def _join(parts: list[Photons]) -> Photons:
-    return Photons(*(np.concatenate(columns) for columns in zip(*parts, strict=True))) if parts else Photons.empty(0)

@@ -40,7 +40,7 @@ from joulebox_render.stages.density import (
     share_in_sight,
 )
 from joulebox_render.stages.direct import sample_lights
-from joulebox_render.stages.photon_map import PhotonMap, grow_tree
+from joulebox_render.stages.photon_map import PhotonMap, grow_tree, in_order
 
 RAYS_PER_LOOK_UP = 2
 # Direct light is sampled where irradiance is precomputed: exact at shadows' edges and corners, and without noise, where
@@ -162,7 +162,7 @@ def precompute_irradiance(context: Context, photons: PhotonMap) -> IrradianceRec
     # By the order of storing: which photons lie first in the tree hangs on roundings of their places.
     chosen = photons.rank % step == 0
     taken = np.flatnonzero(chosen)
-    position, normal = photons.tree.position.take(taken, axis=0), photons.tree.normal.take(taken, axis=0)
+    position, normal = in_order(context.pool, taken, photons.tree.position, photons.tree.normal)
     number = photons.rank[taken].astype(np.int64)
     estimate = other_photons(context, photons, chosen)
     doubtful = np.empty(len(position), np.uint8)
@@ -174,7 +174,7 @@ def precompute_irradiance(context: Context, photons: PhotonMap) -> IrradianceRec
         sampled = direct_irradiance(context, number[first:last], here, facing)
         return estimates._replace(irradiance=estimates.irradiance + sampled)
 
-    parts = list(context.pool.map_chunks(chunk, len(position), RAYS_PER_ESTIMATE))
+    parts = context.pool.map_chunks(chunk, len(position), RAYS_PER_ESTIMATE)
     estimates = Estimates(*map(np.concatenate, zip(*parts, strict=True))) if parts else Estimates.empty(0)
     tree, order = grow_tree(position, normal, context.pool)
     records = IrradianceRecords(
@@ -203,11 +203,12 @@ def other_photons(context: Context, photons: PhotonMap, chosen: npt.NDArray[np.b
     if step == 1:
         return estimate
     others = np.flatnonzero(~chosen)
-    position, normal = (column.take(others, axis=0) for column in (photons.tree.position, photons.tree.normal))
+    position, normal = in_order(context.pool, others, photons.tree.position, photons.tree.normal)
     tree, order = grow_tree(position, normal, context.pool)
-    others = others[order]
-    flux = photons.flux.take(others, axis=0) * np.float32(step / (step - 1))
-    wi, history, rank = (column.take(others, axis=0) for column in (photons.wi, photons.history, photons.rank))
+    flux, wi, history, rank = in_order(
+        context.pool, others[order], photons.flux, photons.wi, photons.history, photons.rank
+    )
+    flux *= np.float32(step / (step - 1))
     rest = replace(photons, tree=tree, flux=flux, wi=wi, history=history, rank=rank, stored=len(flux))
     return replace(estimate, photons=rest, count=max(2, round(estimate.count * (step - 1) / step)))
 
@@ -272,5 +273,5 @@ def tabulate(
         beside = np.where(blocked[:, 1:].any(axis=1), FROM_AFAR, ALWAYS)
         table.light[slots[first:last], 3] = np.where(known, beside, NEVER)
 
-    list(context.pool.map_chunks(chunk, cells, RAYS_PER_LOOK_UP + FEELERS))
+    context.pool.map_chunks(chunk, cells, RAYS_PER_LOOK_UP + FEELERS)
     return table

@@ -14,7 +14,6 @@ missed with its shadow: the error is measured, not bounded.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -160,7 +159,7 @@ def aim_from_areas(context: Context) -> Aim:
     return aim._replace(choice=choice / choice[-1] if len(choice) and choice[-1] > 0 else choice)
 
 
-def _run_round(context: Context, aim: Aim, first_number: int, count: int) -> Iterator[tuple[LightPhotons, int]]:
+def _run_round(context: Context, aim: Aim, first_number: int, count: int) -> list[tuple[LightPhotons, int]]:
     """Run `count` rays from number `first_number` on through the scene: (photons, rays traced) a chunk."""
 
     def chunk(first: int, last: int) -> tuple[LightPhotons, int]:
