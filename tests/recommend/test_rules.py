@@ -35,6 +35,7 @@ def test_the_code_has_the_frozen_rules():
         "difference_powers": list(surrogate.DIFFERENCE_POWERS),
         "turns": regression.TURNS,
         "min_gain": proposals.MIN_GAIN,
+        "worth_of_an_answer": proposals.WORTH_OF_AN_ANSWER,
         "confirm_rounds": strategies.CONFIRM_ROUNDS,
         "confirmed_at_once": strategies.CONFIRMED_AT_ONCE,
     }
