@@ -116,3 +116,29 @@ def score(
             for name, strategy in strategies.items():
                 judge(known, question, strategy(held, question), scores[name])
     return scores
+
+
+def oracle(
+    known: Known, ask: Callable[[Known, np.random.Generator], Question], seed: int, questions: int = QUESTIONS
+) -> Score:
+    """Who knows every cost, and every mean over half of the hidden seeds, judged by the other half.
+
+    What is true is known no better than that: nobody who has not seen the seeds that judge can be asked for more.
+    """
+    found = Score()
+    for number in range(-(-questions // PER_CAMPAIGN)):
+        rng = np.random.default_rng([seed, number, 2])
+        told, judging = known.halves(rng)
+        for _ in range(PER_CAMPAIGN):
+            question = ask(judging, rng)
+            judge(judging, question, _knowing(told, question), found)
+    return found
+
+
+def _knowing(told: Known, question: Question) -> int | None:
+    """The best as it is told, without any margin."""
+    fits = told.difference <= question.limit
+    if question.budget is not None:
+        fits &= told.cost <= question.budget
+    sought = told.cost if question.budget is None else told.difference
+    return int(np.argmin(np.where(fits, sought, np.inf))) if fits.any() else None

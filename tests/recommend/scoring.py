@@ -1,8 +1,8 @@
 """Simulated campaigns over a grid that was really rendered: what a meter would show, and what is true.
 
-A campaign measures configurations REPEATS times each, with REPEATS seeds drawn from a set of five: for each
-configuration by itself, or the same ones for all. A meter's noise is drawn anew for every measurement, its drift once
-for a session: a block of the sweep, in which every configuration is measured once, or, worse, all blocks.
+A campaign measures configurations REPEATS times each, with REPEATS seeds drawn from a set: for each configuration by
+itself, or the same ones for all. A meter's noise is drawn anew for every measurement, its drift once for a session: a
+block of the sweep, in which every configuration is measured once, or, worse, all blocks.
 
 What is true of a cost is the sum of what its stages take; see `_stage_costs`. What is true of a difference is its mean
 over seeds that no campaign sees; what is nowhere near the front has none of those, and its mean over the set decides
@@ -12,7 +12,7 @@ nothing. Other sets tell nothing of it where another build of the renderer made 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -22,7 +22,7 @@ from joulebox_server.analysis.intervals import Interval
 from joulebox_server.analysis.points import Observation, Subject
 from joulebox_server.analysis.tradeoff import build_tradeoff
 
-from .grids import COST_SEEDS, REPEATS, SEEDS, SIDE, STAGES, TRUTH_SEEDS, Grid, Render, read_renders
+from .grids import COST_SEEDS, FIRST_LOOK, REPEATS, SEEDS, SIDE, STAGES, TRUTH_SEEDS, Grid, Render, read_renders
 
 NOISE_SHARE = 0.05
 DRIFT_SHARE = 0.03
@@ -47,11 +47,12 @@ FAR_OFF = 1e6
 class Known:
     """A grid with one set of seeds: what is measured, and what is true, by place in `grid.configurations`.
 
-    repeats         (n, 5) difference with each seed of the set; NaN where a configuration is known to be far off
+    repeats         (n, seeds) difference with each seed of the set; NaN where a configuration is known to be far off
     cost            (n,) true cost of an image, in CPU seconds standing for joules
     stages          (n,) true cost of each stage, 0 where it does not run; their sum is the cost
     own_seeds       whether each configuration has seeds of its own, or all have the same
     difference      (n,) true difference
+    hidden          of each the differences, (seeds,) or none, whose mean is what is true
     """
 
     grid: Grid
@@ -61,10 +62,19 @@ class Known:
     pixels: list[str]
     stages: dict[str, np.ndarray]
     own_seeds: bool
+    hidden: list[list[float]]
 
     @cached_property
     def ids(self) -> list[str]:
         return [f"{place:03}" for place in range(len(self.cost))]
+
+    def halves(self, rng: np.random.Generator) -> tuple[Known, Known]:
+        """As one half of the hidden seeds, drawn at random, shows what is true, and as the other does."""
+        drawn = [rng.permutation(each) for each in self.hidden]
+        means = [[float(np.mean(part)) if len(part) else np.nan for part in np.array_split(each, 2)] for each in drawn]
+        told = np.where(np.isfinite(means), means, self.difference[:, None])
+        first, second = (replace(self, difference=half) for half in told.T)
+        return first, second
 
     def best(self, budget: float, limit: float) -> float | None:
         """The smallest true difference that truly fits."""
@@ -84,9 +94,9 @@ def known(grid: Grid, seeds: str) -> Known:
     hidden = [[each[s].difference for s in TRUTH_SEEDS[seeds] if s in each] for each in found]
     true = [np.mean(unseen) if unseen else np.nanmean(seen) for unseen, seen in zip(hidden, repeats, strict=True)]
     pixels = [min(each.items())[1].pixels for each in found]
-    stages = _stage_costs(grid)
+    stages = _stage_costs(grid, seeds)
     cost = np.sum(list(stages.values()), axis=0)
-    return Known(grid, np.array(repeats), cost, np.array(true), pixels, stages, grid.has_own_seeds(seeds))
+    return Known(grid, np.array(repeats), cost, np.array(true), pixels, stages, grid.has_own_seeds(seeds), hidden)
 
 
 def _by_place(grid: Grid) -> list[dict[int, Render]]:
@@ -97,31 +107,33 @@ def _by_place(grid: Grid) -> list[dict[int, Render]]:
     return [found[tuple(settings.values())] for settings in grid.configurations]
 
 
-def _stage_costs(grid: Grid) -> dict[str, np.ndarray]:
-    """CPU seconds of each configuration's stages: the median over all renders that do the same work.
+def _stage_costs(grid: Grid, seeds: str) -> dict[str, np.ndarray]:
+    """CPU seconds of each configuration's stages: the median over a set's renders that do the same work.
 
     A render's CPU seconds scatter by 10 % for the machine's own reasons, so that a median of ten renders is off by 4 %;
     but a stage does the same work in all configurations that agree in the settings which it reads. That they do is
-    tested.
+    tested. Where a set has none, what the first look took stands in.
     """
     stages = {stage: np.zeros(len(grid.configurations)) for stage in STAGES}
     for stage, cost in stages.items():
-        logs = own_stage_logs(grid, stage)
+        logs = own_stage_logs(grid, stage, (*COST_SEEDS[seeds], *FIRST_LOOK))
         for places in same_work(grid, stage):
-            if np.isfinite(logs[places]).any():
-                cost[places] = np.exp(np.nanmedian(logs[places]))
+            of_set, first_look = np.split(logs[places], [len(COST_SEEDS[seeds])], axis=1)
+            told = of_set if np.isfinite(of_set).any() else first_look
+            if np.isfinite(told).any():
+                cost[places] = np.exp(np.nanmedian(told))
     return {stage: cost for stage, cost in stages.items() if cost.any()}
 
 
-def own_stage_logs(grid: Grid, stage: str) -> np.ndarray:
-    """(n, seeds) logs of what a stage took in each render whose seed counts for costs; NaN where it did not run.
+def own_stage_logs(grid: Grid, stage: str, seeds: Sequence[int]) -> np.ndarray:
+    """(n, seeds) logs of what a stage took in each render with one of these seeds; NaN where it did not run.
 
     What a seed's renders took longer for all is taken off: they follow each other, so that this is how slow the
     machine was at that time.
     """
     found = _by_place(grid)
-    whole = np.log([[each[s].cpu_s if s in each else np.nan for s in COST_SEEDS] for each in found])
-    took = [[each[s].stages_s.get(stage, np.nan) if s in each else np.nan for s in COST_SEEDS] for each in found]
+    whole = np.log([[each[s].cpu_s if s in each else np.nan for s in seeds] for each in found])
+    took = [[each[s].stages_s.get(stage, np.nan) if s in each else np.nan for s in seeds] for each in found]
     return np.asarray(np.log(took) - _slowness(whole))
 
 
@@ -135,6 +147,7 @@ def same_work(grid: Grid, stage: str) -> list[list[int]]:
 
 def _slowness(logs: np.ndarray) -> np.ndarray:
     """(seeds,) by how much, in logs, the renders with each seed took longer than others; NaN where there are none."""
+    logs = logs[np.isfinite(logs).any(axis=1)]
     shifts = np.where(np.isfinite(logs).any(axis=0), 0.0, np.nan)
     there = np.isfinite(shifts)
     for _ in range(POLISHES):

@@ -25,6 +25,7 @@ from joulebox_server.analysis.difference import Display, compare
 from .grids import (
     COST_SEEDS,
     DATA,
+    FIRST_LOOK,
     GRIDS,
     REPEATS,
     SEEDS,
@@ -165,9 +166,9 @@ class Kept:
                 known[seed] = Render(settings, seed, image.cpu_s, {}, difference, "")
 
     def far_off(self, settings: dict[str, Any], seed: int) -> bool:
-        """Whether more seeds would teach nothing: far beyond the limit with the first two of a set."""
+        """Whether more seeds would teach nothing: far beyond the limit in the first look or with two of a set."""
         known = self._renders.get(tuple(settings.values()), {})
-        for seeds in SEEDS.values():
+        for seeds in (FIRST_LOOK, *SEEDS.values()):
             first = [known[s].difference for s in seeds[:KNOWN_ENOUGH] if s in known and s != seed]
             if len(first) == KNOWN_ENOUGH and sum(first) / KNOWN_ENOUGH > FAR * self._grid.limit:
                 return True
@@ -177,7 +178,7 @@ class Kept:
         """Configurations that may truly be the best for some budget, as the seeds of a set show them."""
         found = [self._renders[tuple(c.values())] for c in self._grid.configurations]
         seen = [[r for s, r in each.items() if s in SEEDS[name]] or list(each.values()) for each in found]
-        timed = [[r for s, r in each.items() if s in COST_SEEDS] or list(each.values()) for each in found]
+        timed = [[r for s, r in each.items() if s in COST_SEEDS[name]] or list(each.values()) for each in found]
         cost = np.array([np.median([render.cpu_s for render in each]) for each in timed])
         mean = np.array([np.mean([render.difference for render in each]) for each in seen])
         best = np.array([mean[cost <= COST_MARGIN * own].min() for own in cost])

@@ -2,6 +2,7 @@
 
 import inspect
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from joulebox_server.analysis.tradeoff import build_tradeoff
 
 from recommend import strategies
 from recommend.grids import GRIDS, SEEDS, STAGES, TRUTH_SEEDS, is_complete, read_reference, read_renders
-from recommend.proof import Score, budget_question, judge, limit_question, score
+from recommend.proof import Score, budget_question, judge, limit_question, oracle, score
 from recommend.scoring import campaign, known, own_stage_logs, same_work
 from recommend.strategies import Question, joulebox, joulebox_confirming, mean_of_three, measured_once, optuna_best
 
@@ -35,6 +36,7 @@ def test_the_code_has_the_frozen_rules():
         "difference_powers": list(surrogate.DIFFERENCE_POWERS),
         "turns": regression.TURNS,
         "min_gain": proposals.MIN_GAIN,
+        "worth_of_an_answer": proposals.WORTH_OF_AN_ANSWER,
         "confirm_rounds": strategies.CONFIRM_ROUNDS,
         "confirmed_at_once": strategies.CONFIRMED_AT_ONCE,
     }
@@ -94,24 +96,26 @@ def test_a_stage_does_the_same_work_where_what_it_reads_is_the_same(scene, stage
 
     The variance of a median of n is about pi/2 of that of a mean (normal scatter). Heavier tails, and a scatter that is
     not constant, make it differ by up to a third; a setting that a stage reads and that is not listed, as photons for
-    the photon map, makes it ten times as large.
+    the photon map, makes it ten times as large. The seeds of campaigns alone, which each setting that is rendered has
+    as many of: the hidden ones follow each other on a few settings, whose slow minutes are no independent draws.
     """
     grid = GRIDS[scene]
-    logs = own_stage_logs(grid, stage)
-    logs = logs[:, np.isfinite(logs).any(axis=0)]
-    own = np.nanmedian(logs, axis=1)
-    together = np.zeros(len(own))
+    logs = own_stage_logs(grid, stage, SEEDS["F"])
+    is_known = np.isfinite(logs).any(axis=1)
+    own = np.nanmedian(logs[is_known], axis=1)
+    together = np.zeros(len(logs))
     for places in same_work(grid, stage):
-        together[places] = np.nanmedian(logs[places])
-    count = np.isfinite(logs).sum(axis=1)
-    scatter = np.nansum((logs - own[:, None]) ** 2) / (count - 1).clip(1).sum()
+        if is_known[places].any():
+            together[places] = np.nanmedian(logs[places])
+    count = np.isfinite(logs[is_known]).sum(axis=1)
+    scatter = np.nansum((logs[is_known] - own[:, None]) ** 2) / (count - 1).clip(1).sum()
     expected = np.pi / 2 * scatter * np.mean(1 / count)
-    assert np.var(own - together) < 1.5 * expected
+    assert np.var(own - together[is_known]) < 1.5 * expected
 
 
 def test_a_campaign_has_the_noise_that_it_says():
     """324 x 3 measurements of 5 % noise: the scatter within a session is known to 0.11 %, 4 sigma tolerated (6e-5)."""
-    held = known(GRIDS["cornell-boxes"], "A")
+    held = known(GRIDS["cornell-boxes"], "D")
     measured = campaign(held, np.random.default_rng(4))
     ratio = measured.energy / held.cost[:, None]
     assert (ratio / ratio.mean(axis=0)).std() == pytest.approx(0.05, abs=4 * 0.0011)
@@ -119,7 +123,7 @@ def test_a_campaign_has_the_noise_that_it_says():
 
 
 def test_judging_by_hand():
-    held = known(GRIDS["cornell-boxes"], "A")
+    held = known(GRIDS["cornell-boxes"], "D")
     limit = held.grid.limit
     fits = np.flatnonzero(held.difference <= limit)
     best = int(fits[np.argmin(held.difference[fits])])
@@ -133,9 +137,27 @@ def test_judging_by_hand():
     assert (found.asked, found.refused) == (4, 1)
 
 
+def test_halves_of_the_hidden_seeds_are_together_what_is_true():
+    held = known(GRIDS["cornell-boxes"], "D")
+    halves = held.halves(np.random.default_rng(8))
+    assert np.mean([half.difference for half in halves], axis=0) == pytest.approx(held.difference)
+    is_hidden = np.array([bool(each) for each in held.hidden])
+    assert (halves[0].difference != halves[1].difference).tolist() == is_hidden.tolist()
+
+
+def test_an_oracle_is_as_good_as_what_it_was_told():
+    """Told all that judges it errs in nothing; told other seeds it does."""
+    held = known(GRIDS["cornell-boxes"], "D")
+    agreed = replace(held, hidden=[[float(np.mean(each))] * 2 if each else [] for each in held.hidden])
+    for ask in (budget_question, limit_question):
+        found = oracle(agreed, ask, seed=9, questions=40)
+        assert (found.broken, found.refused, found.regret(100)) == (0, 0, 0.0)
+        assert oracle(held, ask, seed=9, questions=40).broken > 0
+
+
 def test_confirming_measures_what_is_proposed():
     """A question to a tenth of the grid: at most so many more are measured, in sessions of their own."""
-    held = known(GRIDS["cornell-boxes"], "A")
+    held = known(GRIDS["cornell-boxes"], "D")
     places = np.random.default_rng(6).choice(len(held.cost), 40, replace=False)
     measured = campaign(held, np.random.default_rng(7), places)
     later = measured.extended([place for place in range(len(held.cost)) if place not in places][:4])
@@ -149,8 +171,8 @@ def test_confirming_measures_what_is_proposed():
 
 
 def test_upper_bounds_hold_where_bare_values_break():
-    """40 questions to seeds A, on which the rules were tuned; the proof itself is `make test-recommend`."""
-    held = known(GRIDS["cornell-boxes"], "A")
+    """40 questions to seeds D, on which the rules were tuned; the proof itself is `make test-recommend`."""
+    held = known(GRIDS["cornell-boxes"], "D")
     strategies = {"ours": joulebox, "mean": mean_of_three, "once": measured_once}
     found = score(held, strategies, budget_question, seed=5, questions=40)
     assert found["ours"].broken <= 1  # 3 % of 40 questions
@@ -159,14 +181,14 @@ def test_upper_bounds_hold_where_bare_values_break():
 
 
 def test_optuna_answers_a_question():
-    held = known(GRIDS["cornell-boxes"], "A")
+    held = known(GRIDS["cornell-boxes"], "D")
     measured = campaign(held, np.random.default_rng(1))
     place = optuna_best(measured, limit_question(held, np.random.default_rng(2)), seed=0)
     assert place is None or 0 <= place < len(held.cost)
 
 
 def test_what_is_kept_gives_an_answer_with_reasons():
-    held = known(GRIDS["cornell-spheres"], "A")
+    held = known(GRIDS["cornell-spheres"], "D")
     found = recommend(campaign(held, np.random.default_rng(3)).tradeoff())
     assert found.answer == "settings"
     assert any("within the limit" in why for why in found.why)

@@ -3,7 +3,8 @@
 A candidate's log cost and log difference are known as normal variables. Measuring it helps when it turns out to
 fit and to be better than what was chosen; by how much in the mean is known in closed form (constrained expected
 improvement: Schonlau, Welch & Jones 1998; Gelbart, Snoek & Adams 2014). So a candidate whose value is a little too
-dear, but may well not be, is looked at too, and one that is surely no better is not.
+dear, but may well not be, is looked at too, and one that is surely no better is not. Where nothing fits yet, to have
+an answer at all is an improvement too: so the best there is, a little above the limit, is measured again.
 """
 
 import math
@@ -16,6 +17,8 @@ from joulebox_server.analysis.terms import Terms
 
 MIN_GAIN = 0.005
 """Smaller improvements to be expected, as a share of what is sought, are not worth a run."""
+WORTH_OF_AN_ANSWER = 1.0
+"""Where there was none; in logs, as if what fits were better by a factor of e: a chance of MIN_GAIN is worth a run."""
 _NORMAL = NormalDist()
 
 
@@ -29,8 +32,9 @@ def worth_measuring(
     """
     margins = _margins(known)
     level = _level(terms, chosen, known, margins)
+    worth = WORTH_OF_AN_ANSWER if chosen is None else 0.0
     gains = [
-        (_gain(terms, candidate, level, margins, confidence), candidate)
+        (_gain(terms, candidate, level, margins, confidence, worth), candidate)
         for candidate in known
         if candidate is not chosen and (candidate.point is None or not terms.fits(candidate))
     ]
@@ -57,8 +61,10 @@ def _level(terms: Terms, chosen: Candidate | None, known: Sequence[Candidate], m
     return _log(terms.limit) - margins[1]
 
 
-def _gain(terms: Terms, candidate: Candidate, level: float, margins: tuple[float, float], confidence: float) -> float:
-    """The mean of what it would be better by, in logs, over the chance that it would fit."""
+def _gain(
+    terms: Terms, candidate: Candidate, level: float, margins: tuple[float, float], confidence: float, worth: float
+) -> float:
+    """The mean of what it would be better by, in logs, and of `worth` on top if it is, over the chance that it fits."""
     cost_margin, difference_margin = margins
     if terms.budget is None:
         allowed = _log(terms.limit) - difference_margin
@@ -69,7 +75,7 @@ def _gain(terms: Terms, candidate: Candidate, level: float, margins: tuple[float
     chance = _NORMAL.cdf((allowed - _log(held.value)) / log_deviation(held, confidence))
     deviation = log_deviation(sought, confidence)
     ahead = (level - _log(sought.value)) / deviation
-    return chance * deviation * (ahead * _NORMAL.cdf(ahead) + _NORMAL.pdf(ahead))
+    return chance * (worth * _NORMAL.cdf(ahead) + deviation * (ahead * _NORMAL.cdf(ahead) + _NORMAL.pdf(ahead)))
 
 
 def _log(value: float) -> float:

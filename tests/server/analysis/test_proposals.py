@@ -24,19 +24,20 @@ def candidate(name, cost, difference, measured=False):
     return Candidate(name if measured else None, name, {"name": name}, {}, cost, difference, of)
 
 
+@pytest.mark.parametrize("worth", [0.0, 1.0])
 @pytest.mark.parametrize("budget", [10.0, None])
 @pytest.mark.parametrize(("cost", "difference"), [(9.5, 40.0), (10.5, 30.0), (8.0, 55.0)])
-def test_gain_is_the_mean_over_draws(budget, cost, difference):
+def test_gain_is_the_mean_over_draws(worth, budget, cost, difference):
     """Monte Carlo error of a mean of DRAWS: its own standard deviation by sqrt(DRAWS), 5 of them tolerated."""
     terms, margins = Terms("energy_j", budget, 80.0), (0.05, 0.1)
     level = math.log(50.0 if budget else 10.0)
-    found = _gain(terms, candidate("a", bounded(cost, 0.1), bounded(difference, 0.4)), level, margins, 0.95)
+    found = _gain(terms, candidate("a", bounded(cost, 0.1), bounded(difference, 0.4)), level, margins, 0.95, worth)
     rng = np.random.default_rng(3)
     costs = math.log(cost) + 0.1 * rng.standard_normal(DRAWS)
     differences = math.log(difference) + 0.4 * rng.standard_normal(DRAWS)
     sought, held = (differences, costs) if budget else (costs, differences)
     allowed = math.log(budget) - margins[0] if budget else math.log(80.0) - margins[1]
-    better = np.maximum(level - sought, 0) * (held <= allowed)
+    better = (level - sought + worth) * (sought <= level) * (held <= allowed)
     assert found == pytest.approx(better.mean(), abs=5 * better.std() / math.sqrt(DRAWS))
 
 
@@ -70,3 +71,14 @@ def test_without_an_answer_what_may_fit_is_proposed(budget):
     found = worth_measuring(terms, None, [near, hopeless, hopeful], 0.95, 5)
     assert found[0] is hopeful
     assert hopeless not in found
+
+
+@pytest.mark.parametrize("budget", [10.0, None])
+@pytest.mark.parametrize("difference", [95.0, 101.0])
+def test_without_an_answer_what_is_just_above_the_limit_is_measured_again(budget, difference):
+    """By deviations so small that no improvement of MIN_GAIN is to be expected of the value itself."""
+    terms = Terms("energy_j", budget, 100.0)
+    near = candidate("near", bounded(9.0, 0.02), bounded(difference, 0.06), measured=True)
+    far = candidate("far", bounded(9.0, 0.02), bounded(200.0, 0.06), measured=True)
+    assert not terms.fits(near)
+    assert worth_measuring(terms, None, [far, near], 0.95, 5) == [near]
