@@ -66,7 +66,7 @@ def make_plan(scene: Scene, settings: Settings, force_all: bool = False) -> Plan
         )
     if settings.indirect == "final_gather" and not settings.importance_sampling:
         left_out["importance_sampling"] = "importance_sampling=false"
-    caustics = _caustic_reason(settings, specular)
+    caustics = _caustic_reason(scene, settings, specular)
     if caustics:
         left_out["caustics"] = caustics
     no_test = _shadow_reason(scene, settings, force_all)
@@ -92,10 +92,13 @@ def make_plan(scene: Scene, settings: Settings, force_all: bool = False) -> Plan
     )
 
 
-def _caustic_reason(settings: Settings, specular: bool) -> str:
+def _caustic_reason(scene: Scene, settings: Settings, specular: bool) -> str:
     """Why there is no caustic map; empty where there is one."""
     if settings.indirect == "path":
-        return "indirect=path finds caustics by its paths"
+        found = "indirect=path finds caustics by its paths"
+        # A path meets no point, and a light behind a mirror or glass cannot be sampled.
+        missed = specular and bool(np.isin(scene.lights.kind, (POINT_LIGHT, SPOT_LIGHT)).any())
+        return found + ", but none of point and spot lights" * missed
     if not settings.caustics:
         return "caustics=false"
     if settings.caustic_photons == 0:

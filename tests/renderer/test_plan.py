@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -111,6 +112,20 @@ def test_settings_leave_out_what_they_do_not_ask_for(settings: dict[str, Any], p
     plan = plan_of("cornell-spheres", **settings)
     assert plan.left_out[part] == reason
     assert part not in plan.run
+
+
+BALL = '<shape type="sphere"><point name="center" value="0,0,-3"/><bsdf type="dielectric"/></shape>'
+POINT, SPOT = '<emitter type="point"/>', '<emitter type="spot"/>'
+LAMP = '<shape type="sphere"><point name="center" value="0,3,0"/><emitter type="area"/></shape>'
+
+
+@pytest.mark.parametrize("lights", [POINT, SPOT, LAMP + POINT], ids=["point", "spot", "lamp and point"])
+def test_paths_do_not_claim_the_caustics_of_point_lights(make_scene: Callable[..., Path], lights: str) -> None:
+    """A path meets no point, and a light behind glass cannot be sampled: only the photon maps show that light."""
+    plan = plan_of(str(make_scene(BALL + lights)), indirect="path")
+    assert plan.left_out["caustics"] == "indirect=path finds caustics by its paths, but none of point and spot lights"
+    lamp_alone = plan_of(str(make_scene(BALL + LAMP)), indirect="path")
+    assert lamp_alone.left_out["caustics"] == "indirect=path finds caustics by its paths"
 
 
 @pytest.mark.parametrize("scene", ["cornell-boxes", "cornell-spheres", "point-light"])
