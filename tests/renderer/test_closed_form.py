@@ -214,6 +214,60 @@ def test_a_mirror_shows_what_a_camera_behind_it_would_see(make_scene: Make, rend
     np.testing.assert_allclose(seen[~edge], expected[~edge], rtol=0.01)
 
 
+OCTAHEDRON_PLY = """ply
+format ascii 1.0
+element vertex 6
+property float x
+property float y
+property float z
+element face 8
+property list uchar int vertex_indices
+end_header
+1 0 0
+-1 0 0
+0 1 0
+0 -1 0
+0 0 1
+0 0 -1
+3 0 2 4
+3 2 1 4
+3 1 3 4
+3 3 0 4
+3 2 0 5
+3 1 2 5
+3 3 1 5
+3 0 3 5
+"""
+
+
+@pytest.mark.parametrize("indirect", ["path", "none"])
+@pytest.mark.parametrize("bsdf", ["conductor", "dielectric"])
+def test_what_is_convex_reflects_nothing_of_itself(
+    tmp_path: Path, make_scene: Make, render: Render, bsdf: str, indirect: str
+) -> None:
+    """An emissive octahedron alone, smoothed so that its shading normals are up to 55 degrees off its faces.
+
+    Only its outside emits, so mirror and glass show that once, 4, and nothing else.
+    """
+    (tmp_path / "octahedron.ply").write_text(OCTAHEDRON_PLY, encoding="utf-8")
+    name = '<string name="material" value="none"/>' if bsdf == "conductor" else ""
+    body = (
+        '<shape type="ply"><string name="filename" value="octahedron.ply"/>'
+        + place(
+            '<rotate x="1" angle="20"/>',
+            '<rotate y="1" angle="25"/>',
+            '<scale value="0.5"/>',
+            '<translate value="0,0,-2"/>',
+        )
+        + f'<bsdf type="{bsdf}">{name}</bsdf>'
+        + EMITTER
+        + "</shape>"
+    )
+    pixels = render(make_scene(body), width=48, height=48, indirect=indirect, seed=3).pixels
+    assert (pixels[..., 0] > 0).mean() > 0.05
+    assert pixels.max() <= 4.0 * (1 + 1e-5)
+
+
 def fresnel_closed_form(cos_i: Any, n: float) -> Any:
     """Unpolarised reflectance going from index 1 into n, straight from Snell's law."""
     cos_t = np.sqrt(1 - (1 - np.asarray(cos_i) ** 2) / n**2)

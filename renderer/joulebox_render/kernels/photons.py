@@ -7,7 +7,7 @@ from joulebox_render.kernels.lobes import phong_bounce
 from joulebox_render.kernels.rng import child_key, draw_1d, draw_2d
 from joulebox_render.kernels.surface import surface_at_hit
 from joulebox_render.kernels.transport import glass_bounce, push_ray
-from joulebox_render.kernels.vector import cosine_direction, reflected, row3, set_row3
+from joulebox_render.kernels.vector import cosine_direction, reflected, row3, set_row3, specular_normal
 
 DIFFUSE, MIRROR, GLASS, PHONG = 0, 1, 2, 4
 FIRST_HIT, CAUSTIC, BOUNCED = 0, 1, 2
@@ -33,7 +33,7 @@ def specular_bounce(tables, material, sobol, rays, i, at):
     _, _, _, _, gx, gy, gz, sx, sy, sz = at
     dx, dy, dz = row3(rays.direction, i)
     if kind == MIRROR:
-        rx, ry, rz = reflected(dx, dy, dz, sx, sy, sz)
+        rx, ry, rz = reflected(dx, dy, dz, *specular_normal(dx, dy, dz, gx, gy, gz, sx, sy, sz))
         cx, cy, cz = row3(tables.material_albedo, material)
         return rx, ry, rz, cx, cy, cz
     if kind != PHONG:

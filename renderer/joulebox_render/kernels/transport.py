@@ -14,6 +14,7 @@ from joulebox_render.kernels.vector import (
     refracted,
     row3,
     set_row3,
+    specular_normal,
 )
 
 DIFFUSE, MIRROR, GLASS, PHONG = 0, 1, 2, 4
@@ -85,12 +86,17 @@ def glass_bounce(tables, material, front, dx, dy, dz, gx, gy, gz, sx, sy, sz):
     """Both ways on from a smooth dielectric: (reflectance, reflected direction, refracted direction, eta)."""
     ior = tables.material_ior[material]
     eta = 1.0 / ior if front else ior
+    sx, sy, sz = specular_normal(dx, dy, dz, gx, gy, gz, sx, sy, sz)
     cos_i = min(1.0, -(dx * sx + dy * sy + dz * sz))
     reflectance, cos_t = fresnel(cos_i, eta)
     rx, ry, rz = reflected(dx, dy, dz, sx, sy, sz)
     tx, ty, tz = dx, dy, dz
     if reflectance < 1.0:
         tx, ty, tz = refracted(dx, dy, dz, sx, sy, sz, cos_i, cos_t, eta)
+        if tx * gx + ty * gy + tz * gz >= 0.0:  # the shading normal leads back to this side
+            cos_i = min(1.0, -(dx * gx + dy * gy + dz * gz))
+            _, cos_t = fresnel(cos_i, eta)
+            tx, ty, tz = refracted(dx, dy, dz, gx, gy, gz, cos_i, cos_t, eta)
     return reflectance, rx, ry, rz, tx, ty, tz, eta
 
 
@@ -142,7 +148,9 @@ def mirrored(rays, i, at):
 def follow_mirror(tables, material, rays, i, at, following, row):
     """Write the ray that goes on from a mirror at `at`."""
     px, py, pz = lifted(tables, at)
-    rx, ry, rz = mirrored(rays, i, at)
+    _, _, _, _, gx, gy, gz, sx, sy, sz = at
+    dx, dy, dz = row3(rays.direction, i)
+    rx, ry, rz = reflected(dx, dy, dz, *specular_normal(dx, dy, dz, gx, gy, gz, sx, sy, sz))
     wx, wy, wz = row3(rays.weight, i)
     ax, ay, az = row3(tables.material_albedo, material)
     push_ray(

@@ -76,6 +76,18 @@ def reflected(dx, dy, dz, nx, ny, nz):
 
 
 @device
+def specular_normal(dx, dy, dz, gx, gy, gz, sx, sy, sz):
+    """The normal that a mirror or glass reflects by: the shading normal, but where that leads into the surface.
+
+    A ray that goes on below a smoothed mesh would meet the same front again, and count its light twice.
+    """
+    rx, ry, rz = reflected(dx, dy, dz, sx, sy, sz)
+    if rx * gx + ry * gy + rz * gz <= 0.0:
+        return gx, gy, gz
+    return sx, sy, sz
+
+
+@device
 def fresnel(cos_i, eta):
     """Unpolarised reflectance of a smooth dielectric and the cosine of the refracted ray.
 
