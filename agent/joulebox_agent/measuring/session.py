@@ -264,6 +264,7 @@ class Session:
             except ChargingError as error:
                 if not any(record.windows for record in self.records):
                     raise
+                self._meter.start()
                 why, next_may_do = str(error).removesuffix("."), True
         record, done = self.records[index], len(self.records[index].windows)
         words = f"{why} after {done} of {self._wanted[index]} windows"
@@ -276,10 +277,8 @@ class Session:
 
     def _pause_sampling(self, wait: Callable[[Meter], None]) -> None:
         self._meter.stop()
-        try:
-            wait(self._meter)
-        finally:
-            self._meter.start()
+        wait(self._meter)
+        self._meter.start()
 
     def _commit(self) -> bool:
         if self._journal is None:
