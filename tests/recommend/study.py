@@ -166,9 +166,12 @@ class Kept:
                 known[seed] = Render(settings, seed, image.cpu_s, {}, difference, "")
 
     def far_off(self, settings: dict[str, Any], seed: int) -> bool:
-        """Whether more seeds would teach nothing: far beyond the limit in the first look or with two of a set."""
+        """Whether more seeds would teach nothing: far beyond the limit in the first look or with two of its own set.
+
+        Other sets may be of another build of the renderer, whose pictures differ more or less.
+        """
         known = self._renders.get(tuple(settings.values()), {})
-        for seeds in (FIRST_LOOK, *SEEDS.values()):
+        for seeds in (FIRST_LOOK, *(own for own in SEEDS.values() if seed in own)):
             first = [known[s].difference for s in seeds[:KNOWN_ENOUGH] if s in known and s != seed]
             if len(first) == KNOWN_ENOUGH and sum(first) / KNOWN_ENOUGH > FAR * self._grid.limit:
                 return True
