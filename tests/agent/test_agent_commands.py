@@ -251,7 +251,10 @@ def test_a_measurement_that_is_told_to_end_leaves_nothing_behind(tmp_path: Path,
     words = ["measure", "scene", "--renderer", RENDERER, "--sysfs-root", str(tree), "--charge-band", "90-30"]
     scratch = tmp_path / "tmp"
     scratch.mkdir()
-    start = "import joulebox_agent.measuring.charging as c; c.LOOK_EVERY_S = 0.1"
+    # Signals that these tests were started without, as by nohup, would be ignored by the agent, too.
+    usual = "default_int_handler" if number == signal.SIGINT else "SIG_DFL"
+    start = f"import signal; signal.signal({int(number)}, signal.{usual}); "
+    start += "import joulebox_agent.measuring.charging as c; c.LOOK_EVERY_S = 0.1"
     process = subprocess.Popen(
         [sys.executable, "-c", f"{start}; from joulebox_agent.cli import main; main()", *words],
         stderr=subprocess.PIPE, text=True, env=os.environ | {"TMPDIR": str(scratch)},
@@ -267,8 +270,8 @@ def test_a_measurement_that_is_told_to_end_leaves_nothing_behind(tmp_path: Path,
         assert (pack / "charge_behaviour").read_text() == "force-discharge"
         (pack / "charge_behaviour").write_text("auto [force-discharge]\n")  # as the kernel shows what it was told
         process.send_signal(number)
-        rest = process.stderr.read()
-        code = process.wait(15)
+        _, rest = process.communicate(timeout=30)
+        code = process.returncode
     finally:
         process.kill()
         process.wait()
