@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
+from itertools import groupby, product
 from pathlib import Path
 from typing import Any
 
@@ -136,6 +136,7 @@ class Render:
     cpu_s       CPU seconds over all threads, the stand-in for energy
     stages_s    CPU seconds of each stage that ran
     pixels      beginning of the pixel hash: equal where a setting changed nothing
+    in_a_row    renders with this seed that followed each other, this one among them
     """
 
     settings: dict[str, Any]
@@ -144,6 +145,7 @@ class Render:
     stages_s: dict[str, float]
     difference: float
     pixels: str
+    in_a_row: int = 1
 
 
 def columns(grid: Grid) -> list[str]:
@@ -161,10 +163,11 @@ def read_renders(grid: Grid) -> list[Render]:
     if not table(grid).is_file():
         return []
     with table(grid).open(newline="", encoding="utf-8") as file:
-        return [_render(grid, row) for row in csv.DictReader(file)]
+        runs = [list(rows) for _, rows in groupby(csv.DictReader(file), key=lambda row: row["seed"])]
+    return [_render(grid, row, len(run)) for run in runs for row in run]
 
 
-def _render(grid: Grid, row: Mapping[str, str]) -> Render:
+def _render(grid: Grid, row: Mapping[str, str], in_a_row: int) -> Render:
     return Render(
         {name: type(values[0])(row[name]) for name, values in grid.axes.items()},
         int(row["seed"]),
@@ -172,6 +175,7 @@ def _render(grid: Grid, row: Mapping[str, str]) -> Render:
         {stage: float(row[f"{stage}_cpu_s"]) for stage in STAGES if row[f"{stage}_cpu_s"]},
         float(row["difference"]),
         row["pixels"],
+        in_a_row,
     )
 
 

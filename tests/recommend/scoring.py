@@ -37,6 +37,8 @@ READS = {
     "caustics": ("samples_per_pixel", "caustic_photons"),
 }  # fmt: skip
 """The settings that a stage's work depends on."""
+FEWEST_IN_A_ROW = 30
+"""Renders with one seed that followed each other, from which the machine's pace at that time is told."""
 POLISHES = 10
 """Turns of alternating medians; they settle within a few."""
 FAR_OFF = 1e6
@@ -129,9 +131,9 @@ def own_stage_logs(grid: Grid, stage: str, seeds: Sequence[int]) -> np.ndarray:
     """(n, seeds) logs of what a stage took in each render with one of these seeds; NaN where it did not run.
 
     What a seed's renders took longer for all is taken off: they follow each other, so that this is how slow the
-    machine was at that time.
+    machine was at that time. A few that were rendered later do not tell that, and are left out.
     """
-    found = _by_place(grid)
+    found = [{s: r for s, r in each.items() if r.in_a_row >= FEWEST_IN_A_ROW} for each in _by_place(grid)]
     whole = np.log([[each[s].cpu_s if s in each else np.nan for s in seeds] for each in found])
     took = [[each[s].stages_s.get(stage, np.nan) if s in each else np.nan for s in seeds] for each in found]
     return np.asarray(np.log(took) - _slowness(whole))
