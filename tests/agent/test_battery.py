@@ -110,6 +110,12 @@ def test_a_peripheral_alone_is_no_system_battery(tree: Tree) -> None:
     assert BatteryGauge(Sysfs(root)).report().reason == "no system battery"
 
 
+def test_the_folder_above_a_sysfs_is_told_from_a_machine_without_a_battery(tree: Tree) -> None:
+    above = tree("thinkpad_power_now").parent
+    reason = BatteryGauge(Sysfs(above)).report().reason
+    assert reason == f"no system battery; {above} has no folder class/, as the root of a sysfs has"
+
+
 def test_two_gauges_of_one_cell_count_once_whatever_their_type(tree: Tree) -> None:
     root = tree("android_pixel_two_gauges")
     (root / "class/power_supply/bms/type").write_text("Battery\n")

@@ -64,6 +64,8 @@ class PowerSupplyClass:
         notes += [f"{name} has no file of power or energy: a peripheral or a second gauge" for name in self._silent]
         self._notice_twins(packs)
         notes += [f"{one} is a second gauge of {other}'s cell, counted once" for one, other in self._twins.items()]
+        if not packs and self.sysfs.lacks_classes():
+            notes.append(f"{self.sysfs.root} has no folder class/, as the root of a sysfs has")
         return Supplies(tuple(pack for pack in packs if pack.name not in self._twins), tuple(online), tuple(notes))
 
     def _find(self) -> None:

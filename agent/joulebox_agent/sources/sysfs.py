@@ -35,6 +35,10 @@ class Sysfs:
             raise UsageError(f"The sysfs root {root} is not a directory; give the folder that contains class/.")
         self.root = root
 
+    def lacks_classes(self) -> bool:
+        """Whether the root is there but is no sysfs: perhaps the folder above the one that was meant."""
+        return self.root.is_dir() and not (self.root / "class").is_dir()
+
     def text(self, path: Path) -> str:
         """The file's content without white space around it. Raises OSError as the kernel does.
 
