@@ -163,7 +163,7 @@ def main() -> int:
     parser.add_argument("--questions", type=int, default=QUESTIONS, help=f"to each strategy (default {QUESTIONS})")
     parser.add_argument("--scene", nargs="+", choices=GRIDS, default=list(GRIDS), help="all unless named")
     parser.add_argument(
-        "--tuning", choices=SEEDS, metavar="SET", help="score seeds that served to choose rules: D or E"
+        "--tuning", choices=SEEDS, metavar="SET", help="score seeds that served to choose rules: D, E or F"
     )
     given = parser.parse_args()
     if given.questions < PER_CAMPAIGN:

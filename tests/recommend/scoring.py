@@ -5,7 +5,7 @@ itself, or the same ones for all. A meter's noise is drawn anew for every measur
 block of the sweep, in which every configuration is measured once, or, worse, all blocks.
 
 What is true of a cost is the sum of what its stages take; see `_stage_costs`. What is true of a difference is its mean
-over seeds that no campaign sees; what is nowhere near the front has none of those, and its mean over the set decides
+over seeds that no campaign sees; what is far beyond the limit has none of those, and its mean over the set decides
 nothing. Other sets tell nothing of it where another build of the renderer made their pictures.
 """
 

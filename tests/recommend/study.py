@@ -23,9 +23,7 @@ from joulebox_render.settings import make_settings
 from joulebox_server.analysis.difference import Display, compare
 
 from .grids import (
-    COST_SEEDS,
     DATA,
-    FIRST_LOOK,
     GRIDS,
     REPEATS,
     SEEDS,
@@ -52,11 +50,11 @@ PRESET_SEEDS = (0, 1)
 FAR = 4.0
 """A configuration whose first two seeds differ by more than this many limits is known well enough."""
 KNOWN_ENOUGH = 2
-NEAR, COST_MARGIN, NEAR_LIMITS = 3.0, 1.1, 2.5
-"""Near the front: within three times the smallest difference at 1.1 times the cost, and within two and a half limits.
+NEAR_LIMITS = 2.5
+"""What its own set's seeds show to be within so many limits is rendered with hidden seeds: any question may name it.
 
-Wide, because what is judged by other seeds than its neighbours has another luck: within twice the smallest, settings
-without hidden seeds came out as the best by that alone."""
+Whether it is near the front does not matter: what is judged by the seeds that campaigns draw from shares their luck,
+and settings without hidden seeds came out as the best, or broke limits, by that alone."""
 
 
 class Painter:
@@ -132,10 +130,15 @@ def study(grid: Grid) -> None:
         for seed in SEEDS[name]:
             kept.complete(painter, picture, [c for c in grid.configurations if not kept.far_off(c, seed)], seed)
             print(f"[{time.monotonic() - start:5.0f} s] {grid.scene}: seed {seed} done", file=sys.stderr, flush=True)
-        near = kept.near_front(name)
+        near = kept.near(name)
         for seed in TRUTH_SEEDS[name]:
-            kept.complete(painter, picture, near, seed)
-        print(f"[{time.monotonic() - start:5.0f} s] {grid.scene}: truth {name} done", file=sys.stderr, flush=True)
+            judged = [settings for settings in near if seed in grid.truth_seeds(name, settings)]
+            kept.complete(painter, picture, judged, seed)
+            print(
+                f"[{time.monotonic() - start:5.0f} s] {grid.scene}: hidden seed {seed} done",
+                file=sys.stderr,
+                flush=True,
+            )
     (DATA / f"{grid.scene}.reference.npy").unlink()
 
 
@@ -166,27 +169,23 @@ class Kept:
                 known[seed] = Render(settings, seed, image.cpu_s, {}, difference, "")
 
     def far_off(self, settings: dict[str, Any], seed: int) -> bool:
-        """Whether more seeds would teach nothing: far beyond the limit in the first look or with two of its own set.
+        """Whether more seeds would teach nothing: far beyond the limit with the first two of its own set.
 
         Other sets may be of another build of the renderer, whose pictures differ more or less.
         """
         known = self._renders.get(tuple(settings.values()), {})
-        for seeds in (FIRST_LOOK, *(own for own in SEEDS.values() if seed in own)):
-            first = [known[s].difference for s in seeds[:KNOWN_ENOUGH] if s in known and s != seed]
-            if len(first) == KNOWN_ENOUGH and sum(first) / KNOWN_ENOUGH > FAR * self._grid.limit:
-                return True
-        return False
+        own = next(seeds for seeds in SEEDS.values() if seed in seeds)
+        first = [known[s].difference for s in own[:KNOWN_ENOUGH] if s in known and s != seed]
+        return len(first) == KNOWN_ENOUGH and sum(first) / KNOWN_ENOUGH > FAR * self._grid.limit
 
-    def near_front(self, name: str) -> list[dict[str, Any]]:
-        """Configurations that may truly be the best for some budget, as the seeds of a set show them."""
-        found = [self._renders[tuple(c.values())] for c in self._grid.configurations]
-        seen = [[r for s, r in each.items() if s in SEEDS[name]] or list(each.values()) for each in found]
-        timed = [[r for s, r in each.items() if s in COST_SEEDS[name]] or list(each.values()) for each in found]
-        cost = np.array([np.median([render.cpu_s for render in each]) for each in timed])
-        mean = np.array([np.mean([render.difference for render in each]) for each in seen])
-        best = np.array([mean[cost <= COST_MARGIN * own].min() for own in cost])
-        near = (mean <= NEAR * best) & (mean <= NEAR_LIMITS * self._grid.limit)
-        return [c for c, is_near in zip(self._grid.configurations, near, strict=True) if is_near]
+    def near(self, name: str) -> list[dict[str, Any]]:
+        """Configurations that may be within a limit that is asked for, as the seeds of a set show them."""
+        means = [
+            np.mean([each.difference for seed, each in self._renders[tuple(c.values())].items() if seed in SEEDS[name]])
+            for c in self._grid.configurations
+        ]
+        is_near = np.array(means) <= NEAR_LIMITS * self._grid.limit
+        return [c for c, near in zip(self._grid.configurations, is_near, strict=True) if near]
 
 
 def main() -> int:

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 _OFFSET_VARIANCE = 100.0
 _JITTER = 1e-8
 _PULL = 0.02
-_ENOUGH = 150
+ENOUGH = 150
 """Rows that the strengths are chosen by."""
 _TIGHT, _WIDE = np.log(1e-3), np.log(30.0)
 
@@ -73,17 +73,19 @@ class Anova:
         target: Array,
         noise_variance: Array,
         strengths: Strengths | None = None,
+        enough: int = ENOUGH,
     ) -> None:
         """Fit to `target` (n,), each known with `noise_variance` (n,); more noise is added if the data asks for it.
 
         strengths   where they were chosen before
+        enough      rows that they are chosen by
         """
         self._factors, self._codes = factors, codes
         self._mean = float(target.mean())
         self._scale = max(float(target.std()), 1e-6)
         self._target = (target - self._mean) / self._scale
         self._noise = noise_variance / self._scale**2
-        self.strengths = strengths or self._fitted()
+        self.strengths = strengths or self._fitted(enough)
         covariance = self._covariance(codes, codes, self.strengths)
         self._factor = cho_factor(covariance + np.diag(self._noise + self.strengths.noise**2 + _JITTER), lower=True)
         self._weights = cho_solve(self._factor, self._target)
@@ -116,11 +118,11 @@ class Anova:
         mean = self._mean + self._scale * (self._target - self._weights / inverse)
         return Prediction(mean, self._scale * np.sqrt(np.maximum(1 / inverse - self._noise, _JITTER)))
 
-    def _fitted(self) -> Strengths:
+    def _fitted(self, enough: int) -> Strengths:
         count = len(self._factors)
         start = np.concatenate([np.full(count, np.log(0.7)), np.log([0.3, 0.7, 0.1])])
         bounds = [(_TIGHT, _WIDE)] * (count + 1) + [(np.log(0.2), np.log(3.0)), (_TIGHT, 0.0)]
-        rows = np.random.default_rng(0).permutation(len(self._target))[:_ENOUGH]  # more would only take longer
+        rows = np.random.default_rng(0).permutation(len(self._target))[:enough]  # more would only take longer
         distances = self._distances(self._codes[rows], self._codes[rows])
         data = (distances, self._target[rows], self._noise[rows])
         found = minimize(self._loss, start, data, "L-BFGS-B", jac=True, bounds=bounds, options={"maxiter": 60})

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from joulebox_server.analysis.anova import Anova, Factor, Prediction
+from joulebox_server.analysis.anova import ENOUGH, Anova, Factor, Prediction
 from joulebox_server.analysis.documents import Axis, Point
 from joulebox_server.analysis.intervals import Interval
 from joulebox_server.analysis.scatter import factor
@@ -34,6 +34,7 @@ class Regression:
     shared      half-width that all points have in common, as a share: no comparison of points tells anything of it
     tails       by what factor errors are larger than the regression thinks
     powers      of the parts that settings' effects may add up in, 0 for logs; the likeliest one is taken
+    enough      points that the strengths of effects are chosen by
     """
 
     def __init__(
@@ -47,6 +48,7 @@ class Regression:
         confidence: float,
         tails: float,
         powers: Sequence[float] = (0.0,),
+        enough: int = ENOUGH,
     ) -> None:
         self._shared, self._normal, self._tails = shared, factor(confidence, math.inf), tails
         values = np.array([max(each.value, _TINY) for each in measured])
@@ -55,7 +57,7 @@ class Regression:
         self._variance = _smooth(factors, codes, self._variance, repeats)
         self._logs = np.log(values)
         shares = parts / parts.sum(axis=0)
-        self._models = [_Fit(factors, codes, values * share, self._variance, powers) for share in shares]
+        self._models = [_Fit(factors, codes, values * share, self._variance, powers, enough) for share in shares]
         self._widened = self._honest(confidence)
 
     def _honest(self, confidence: float) -> float:
@@ -113,11 +115,13 @@ class _Fit:
         values: Array,
         variance: Array,
         powers: Sequence[float],
+        enough: int,
     ) -> None:
         """Fit to values (n,) > 0 with relative variances (n,)."""
         logs = np.log(values)
         fits = [
-            (power, Anova(factors, codes, _powered(logs, power), _square(logs, power, variance))) for power in powers
+            (power, Anova(factors, codes, _powered(logs, power), _square(logs, power, variance), enough=enough))
+            for power in powers
         ]
         self._power, self._model = max(fits, key=lambda fit: fit[1].log_likelihood + (fit[0] - 1) * float(logs.sum()))
         for _ in range(TURNS):
