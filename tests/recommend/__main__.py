@@ -33,6 +33,8 @@ from .strategies import (
     joulebox,
     joulebox_confirming,
     joulebox_predicting,
+    joulebox_told_costs,
+    joulebox_told_differences,
     mean_of_three,
     measured_once,
     optuna_best,
@@ -59,7 +61,13 @@ def table_row(scene: str, question: str, name: str, found: Score) -> tuple[str, 
 
 def complete_grids(scenes: Sequence[Known], questions: int) -> tuple[list[tuple[str, ...]], list[Row]]:
     """Every configuration measured: ours beside what people do instead."""
-    strategies = {"joulebox": joulebox, "mean of 3": mean_of_three, "measured once": measured_once}
+    strategies = {
+        "joulebox": joulebox,
+        "joulebox, told true costs": joulebox_told_costs,
+        "joulebox, told true differences": joulebox_told_differences,
+        "mean of 3": mean_of_three,
+        "measured once": measured_once,
+    }
     lines, rows = [], []
     for held in scenes:
         scene = held.grid.scene

@@ -5,12 +5,13 @@ Each takes a campaign and a question and gives the place of a configuration in i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 from joulebox_server.analysis.candidates import Known, candidates
 from joulebox_server.analysis.documents import Recommendation, Tradeoff
+from joulebox_server.analysis.intervals import Interval
 from joulebox_server.analysis.recommend import recommend
 
 from .scoring import Campaign
@@ -67,6 +68,33 @@ def joulebox_confirming(campaign: Campaign, question: Question) -> int | None:
             break
         held = held.extended(new)
     return joulebox(held, question)
+
+
+def joulebox_told_costs(campaign: Campaign, question: Question) -> int | None:
+    """As `joulebox`, who knows every true cost: what is lost through differences."""
+    return _told(campaign, question, cost=campaign.known.cost)
+
+
+def joulebox_told_differences(campaign: Campaign, question: Question) -> int | None:
+    """As `joulebox`, who knows every true difference: what is lost through costs."""
+    return _told(campaign, question, difference=campaign.known.difference)
+
+
+def _told(campaign: Campaign, question: Question, **truth: np.ndarray) -> int | None:
+    tradeoff, (measured, _) = found_by(campaign)
+    told = [
+        replace(
+            candidate,
+            **{name: _exactly(values[campaign.known.ids.index(candidate.key)]) for name, values in truth.items()},
+        )
+        for candidate in measured
+    ]
+    answer = recommend(tradeoff, question.budget, difference_limit=question.limit, proposals=0, known=(told, []))
+    return _place(campaign, answer)
+
+
+def _exactly(value: float) -> Interval:
+    return Interval(low=value, value=value, high=value)
 
 
 def _place(campaign: Campaign, answer: Recommendation) -> int | None:
