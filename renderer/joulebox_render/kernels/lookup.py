@@ -60,18 +60,19 @@ def find_slot(keys, key):
 
 
 @kernel
-def mark_cells(table, position, normal, lift, steps, points, normals, slots):
-    """Enter the cells at and around records into a table; returns how many, -1 where it would be over half full.
+def mark_cells(table, position, normal, lift, steps, recent, cells):
+    """List the cells at and around records, in the records' order; returns how many.
 
-    table.key (a power of two,) holds NO_CELL everywhere. A record marks the cells that a lattice of half a cell's
-    edge on its tangent plane meets, `steps` points to each side, lifted by `lift` [m] as the points are that
-    will be looked up. For the n-th new cell slots[n] gets its slot, points[n] and normals[n] the place that
-    stands for it: its centre dropped onto the plane, which unlike the record's place does not depend on where
-    photons happened to land. Records go in order, so the table is always the same.
+    Of the table it asks only where cells lie. position, normal (R, 3) f4 are the records'. A record marks the cells
+    that a lattice of LATTICE of a cell's edge on its tangent plane meets, `steps` points to each side, lifted by `lift`
+    [m] as the points are that will be looked up. cells (MarkedCells with room for all these points) is overwritten: key
+    of each cell, position and normal of the place that stands for it, its centre dropped onto the plane, which unlike
+    the record's place does not depend on where photons happened to land. recent (a power of two,) u8 holds NO_CELL at
+    first, and then the keys listed last: of a cell's further mentions it keeps out nearly all, never its first.
     """
-    most = table.key.shape[0] // 2
     count = 0
     edge = 1.0 / table.cells_per_m
+    mask = np.uint64(recent.shape[0] - 1)
     for record in range(position.shape[0]):
         px, py, pz = row3(position, record)
         nx, ny, nz = row3(normal, record)
@@ -81,22 +82,39 @@ def mark_cells(table, position, normal, lift, steps, points, normals, slots):
                 a, b = LATTICE * edge * along, LATTICE * edge * across
                 x, y, z = px + a * sx + b * tx, py + a * sy + b * ty, pz + a * sz + b * tz
                 key = cell_key(table, x + lift * nx, y + lift * ny, z + lift * nz, nx, ny, nz)
-                if key == NO_CELL:
+                place = mix(key) & mask
+                if key == NO_CELL or recent[place] == key:
                     continue
-                slot = find_slot(table.key, key)
-                if table.key[slot] == key:
-                    continue
-                if count == most:
-                    return -1
-                table.key[slot] = key
-                slots[count] = slot
+                recent[place] = cells.key[count] = key
                 cx = table.low[0] + (np.int64(key >> np.uint64(45)) + 0.5) * edge
                 cy = table.low[1] + (np.int64((key >> np.uint64(26)) & np.uint64(CELLS_A_SIDE - 1)) + 0.5) * edge
                 cz = table.low[2] + (np.int64((key >> np.uint64(7)) & np.uint64(CELLS_A_SIDE - 1)) + 0.5) * edge
                 above = (cx - px) * nx + (cy - py) * ny + (cz - pz) * nz
-                points[count, 0], points[count, 1], points[count, 2] = cx - above * nx, cy - above * ny, cz - above * nz
-                normals[count, 0], normals[count, 1], normals[count, 2] = nx, ny, nz
+                set_row3(cells.position, count, cx - above * nx, cy - above * ny, cz - above * nz)
+                set_row3(cells.normal, count, nx, ny, nz)
                 count += 1
+    return count
+
+
+@kernel
+def enter_cells(keys, marked, slots, rows):
+    """Enter marked cells (M,) u8 into a table's keys, in order; returns how many, -1 where it would be over half full.
+
+    keys (a power of two,) u8 holds NO_CELL everywhere. For the n-th new cell slots[n] gets its slot, rows[n] the row of
+    its first mention. One thread does this, so that the table is always the same.
+    """
+    most = keys.shape[0] // 2
+    count = 0
+    for row in range(marked.shape[0]):
+        key = marked[row]
+        slot = find_slot(keys, key)
+        if keys[slot] == key:
+            continue
+        if count == most:
+            return -1
+        keys[slot] = key
+        slots[count], rows[count] = slot, row
+        count += 1
     return count
 
 

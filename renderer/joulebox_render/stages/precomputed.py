@@ -24,11 +24,13 @@ from joulebox_render.kernels.lookup import (
     OUTSIDE,
     aim_feelers,
     answer_rays,
+    enter_cells,
     look_up_irradiance,
     mark_cells,
     nearest_records,
 )
 from joulebox_render.kernels.rng import path_key
+from joulebox_render.pool import WorkerPool
 from joulebox_render.records import F4, F8, I4, I8, U1, U8, Estimates, Hits, Points, Rays, Scratch, Tree, rows
 from joulebox_render.stages.context import Context
 from joulebox_render.stages.density import (
@@ -51,6 +53,8 @@ RECORD_STREAM = 3
 MARGIN = 16
 # Of the photon map's resolution: no ray longer than this is a short one (kernels.gathering.short_ray).
 SURELY_LONG = 1.5
+# Cells that are remembered while records mark them; in the order of their tree most are marked again soon.
+RECENT_CELLS = 4096
 # How far above the surface feelers run, in cells: a wall's foot is felt, a curve of the surface is not.
 FEELER_LIFT = 0.05
 
@@ -69,6 +73,20 @@ class IrradianceTable(NamedTuple):
     cells_per_m: float
     key: U8
     light: F4
+
+
+class MarkedCells(NamedTuple):
+    """Cells that records mark: key (M,) u8, position [m] and normal (M, 3) f4 of the place that stands for each."""
+
+    key: U8
+    position: F4
+    normal: F4
+
+    @classmethod
+    def empty(cls, count: int) -> MarkedCells:
+        """Room for `count` cells."""
+        position, normal = np.empty((2, count, 3), np.float32)
+        return cls(np.empty(count, np.uint64), position, normal)
 
 
 class IrradianceRecords(NamedTuple):
@@ -177,10 +195,10 @@ def precompute_irradiance(context: Context, photons: PhotonMap) -> IrradianceRec
     parts = context.pool.map_chunks(chunk, len(position), RAYS_PER_ESTIMATE)
     estimates = Estimates(*map(np.concatenate, zip(*parts, strict=True))) if parts else Estimates.empty(0)
     tree, order = grow_tree(position, normal, context.pool)
+    irradiance, in_doubt = in_order(context.pool, order, estimates.irradiance, doubtful)
     records = IrradianceRecords(
-        tree, np.ascontiguousarray(estimates.irradiance[order]), np.ascontiguousarray(doubtful[order]),
-        estimate.reach_m * math.sqrt(step), empty_table(), estimate if step > 1 else None,
-    )  # fmt: skip
+        tree, irradiance, in_doubt, estimate.reach_m * math.sqrt(step), empty_table(), estimate if step > 1 else None
+    )
     if not len(position):
         return records
     radius, count = float(np.median(estimates.radius)), max(1.0, float(np.median(estimates.found)))
@@ -243,35 +261,52 @@ def tabulate(
     will be looked up. A scene too large for the cells' numbers, half a million a side, gets a table without cells.
     """
     tree, irradiance = records.tree, records.irradiance
-    low, high = tree.position.min(axis=0).astype(np.float64), tree.position.max(axis=0)
+    # Along rows of three numpy is twenty times as slow.
+    columns = np.ascontiguousarray(tree.position.T)
+    low, high = columns.min(axis=1).astype(np.float64), columns.max(axis=1)
     if edge_m <= 0 or (high - low).max() > edge_m * (CELLS_A_SIDE - 2 * MARGIN):
         return empty_table()
     steps = min(MARGIN, math.ceil(fill_m / (LATTICE * edge_m)))
     # No multiple of an edge, so that walls that bound the scene do not lie between cells.
     corner = low - (MARGIN - 0.382) * edge_m
+    table = empty_table()._replace(low=corner, cells_per_m=1 / edge_m)
+    marked = mark_around(context.pool, tree, table, lift_m, steps)
     size = 1 << math.ceil(math.log2(2 + 1.5 * len(irradiance) * min(1.0, fill_m / edge_m) ** 2))
     cells = -1
     while cells < 0:
         size *= 2
-        table = IrradianceTable(corner, 1 / edge_m, np.full(size, NO_CELL), np.empty((size, 4), np.float32))
-        place, facing = np.empty((2, size // 2, 3), np.float32)
-        slots = np.empty(size // 2, np.int64)
-        cells = mark_cells(table, tree.position, tree.normal, lift_m, steps, place, facing, slots)
+        table = table._replace(key=np.full(size, NO_CELL), light=np.empty((size, 4), np.float32))
+        slots, first_mention = np.empty((2, size // 2), np.int64)
+        cells = enter_cells(table.key, marked.key, slots, first_mention)
 
     def chunk(first: int, last: int) -> None:
+        mention, slot = first_mention[first:last], slots[first:last]
+        place, facing = marked.position[mention], marked.normal[mention]
         row = np.empty(last - first, np.int32)
-        nearest_records(tree, place[first:last], facing[first:last], records.reach_m, cos_limit, Scratch.empty(1), row)
-        table.light[slots[first:last], :3] = np.where(row[:, None] >= 0, irradiance[row], 0.0)
+        nearest_records(tree, place, facing, records.reach_m, cos_limit, Scratch.empty(1), row)
+        table.light[slot, :3] = np.where(row[:, None] >= 0, irradiance[row], 0.0)
         origin, direction = np.empty((2, FEELERS * len(row), 3), np.float32)
         limit = np.empty(FEELERS * len(row), np.float32)
         aim_feelers(
-            tree, row, place[first:last], facing[first:last], max(lift_m, FEELER_LIFT * edge_m), edge_m,
-            origin, direction, limit,
+            tree, row, place, facing, max(lift_m, FEELER_LIFT * edge_m), edge_m, origin, direction, limit
         )  # fmt: skip
         blocked = context.intersector.occluded(origin, direction, limit).reshape(-1, FEELERS).astype(bool)
         known = (row >= 0) & (records.doubtful[row] == 0) & ~blocked[:, 0]
         beside = np.where(blocked[:, 1:].any(axis=1), FROM_AFAR, ALWAYS)
-        table.light[slots[first:last], 3] = np.where(known, beside, NEVER)
+        table.light[slot, 3] = np.where(known, beside, NEVER)
 
     context.pool.map_chunks(chunk, cells, RAYS_PER_LOOK_UP + FEELERS)
     return table
+
+
+def mark_around(pool: WorkerPool, tree: Tree, table: IrradianceTable, lift_m: float, steps: int) -> MarkedCells:
+    """The cells at and around records, some more than once, in the records' order; see kernels.lookup.mark_cells."""
+    lattice = (2 * steps + 1) ** 2
+
+    def chunk(first: int, last: int) -> MarkedCells:
+        cells, recent = MarkedCells.empty((last - first) * lattice), np.full(RECENT_CELLS, NO_CELL)
+        position, normal = tree.position[first:last], tree.normal[first:last]
+        count = mark_cells(table, position, normal, lift_m, steps, recent, cells)
+        return MarkedCells(*rows(cells, slice(0, count)))
+
+    return pool.join(pool.map_chunks(chunk, len(tree.position), lattice))
