@@ -15,6 +15,8 @@ from joulebox_render.kernels.vector import row3, set_row3, tangent_frame
 BEHIND = 0.05
 # sin^2 of the polar angle, 80 degrees, from which on a surface is seen edge-on.
 EDGE_ON = 0.97
+# The square of a gather's mean radiance below which it counts as dark, and not as doubtful.
+DARK = 1e-30
 _P1, _P2, _P3 = np.uint64(73856093), np.uint64(19349663), np.uint64(83492791)
 
 
@@ -127,6 +129,25 @@ def summarize_gather(points, first, strata, tolerance, incident, distance, near,
 
 
 @kernel
+def doubt_gathers(incident, doubt):
+    """Doubt (gathers,) f8 in each gather, overwritten: its mean's standard error over the mean, as if its rays were
+    independent.
+
+    incident (gathers * rays, 3) f8 radiance; its three channels count as one.
+    """
+    rays = incident.shape[0] // doubt.shape[0]
+    for gather in range(doubt.shape[0]):
+        total, square = 0.0, 0.0
+        for row in range(gather * rays, (gather + 1) * rays):
+            light = incident[row, 0] + incident[row, 1] + incident[row, 2]
+            total += light
+            square += light * light
+        # Of n numbers with mean m and mean square s the mean's standard error is sqrt((s - m^2) / n).
+        mean2 = (total / rays) ** 2
+        doubt[gather] = math.sqrt(max(0.0, square / rays - mean2) / (rays * max(mean2, DARK)))
+
+
+@kernel
 def list_cells(cache, reach, cell, first, member, fill):
     """Count (fill = 0) or list (fill = 1) the records whose sphere of influence may meet each bucket's cells.
 
@@ -159,20 +180,27 @@ def bucket_at(grid, x, y, z):
 
 
 @kernel
-def clamp_neighbours(cache, grid, reach):
-    """Make no record's radius exceed a neighbour's plus the distance between them; returns how many shrank."""
-    shrunk = 0
+def clamp_neighbours(cache, grid, reach, pending):
+    """Make no record's radius exceed that of a `pending` neighbour plus the distance between them.
+
+    pending (R,) u1 marks the records that others are held against, each once, in order: it is 0 for those that were
+    held against since they last shrank, and 1 for those that shrank later.
+    """
     for j in range(cache.radius.shape[0]):
+        if not pending[j]:
+            continue
+        pending[j] = 0
         x, y, z = row3(cache.position, j)
         bucket = bucket_at(grid, x, y, z)
         for m in range(grid.first[bucket], grid.first[bucket + 1]):
             i = grid.member[m]
+            if cache.radius[i] <= cache.radius[j]:
+                continue
             dx, dy, dz = cache.position[i, 0] - x, cache.position[i, 1] - y, cache.position[i, 2] - z
             distance = math.sqrt(dx * dx + dy * dy + dz * dz)
             if distance < reach * cache.radius[i] and cache.radius[j] + distance < cache.radius[i]:
                 cache.radius[i] = cache.radius[j] + distance
-                shrunk += 1
-    return shrunk
+                pending[i] = 1
 
 
 @kernel

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from joulebox_render.kernels.irradiance import (
     clamp_neighbours,
+    doubt_gathers,
     interpolate_irradiance,
     list_cells,
     summarize_gather,
@@ -41,8 +42,8 @@ MOST_ENTRIES = 64
 # A gather is made again where its standard error is more than this share of what it found: where fewer than about
 # seven rays bring all the light. Less would replace many that found a bright place and keep those that missed it: at
 # 0.25 veach-door is 2 % darker, at 0.4 by 0.3 %. What its neighbours found says nothing of its own luck, so that their
-# doubt may be asked for less without any bias. Darker than DARK, a mean square of radiances, is no light.
-UNSURE, NEIGHBOUR_UNSURE, DARK = 0.4, 0.25, 1e-30
+# doubt may be asked for less without any bias.
+UNSURE, NEIGHBOUR_UNSURE = 0.4, 0.25
 AGAIN_BRANCH = np.uint64(1)
 # Rays of a gather where no record reaches.
 LEAST_RAYS = 16
@@ -161,9 +162,7 @@ def gather_again(doubt: F8) -> npt.NDArray[np.bool_]:
 def gather_grids(
     context: Context, camera: Camera, light: Illumination, points: Points, polar: int, azimuth: int
 ) -> tuple[CacheRecords, F8]:
-    """Records of gathers of polar x azimuth rays, and the doubt (N,) f8 in each: the standard error of its mean over
-    the mean, as if its rays were independent.
-    """
+    """Records of gathers of polar x azimuth rays, and the doubt (N,) f8 in each (kernels.irradiance.doubt_gathers)."""
     settings = context.settings
     assert settings.width and settings.height
     count, strata = polar * azimuth, Strata.of(polar, azimuth)
@@ -177,10 +176,7 @@ def gather_grids(
     def chunk(first: int, last: int) -> CacheRecords:
         rays = aim_gather(points, first, last, count, polar, NOT_BENT, lattice=context.sobol)
         incident, distance = incident_radiance(context, light, rays)
-        brought = incident.sum(axis=1).reshape(-1, count)
-        # Of count numbers with mean m and mean square s the mean's standard error is sqrt((s - m^2) / count).
-        mean2, square = brought.mean(axis=1) ** 2, np.einsum("ij,ij->i", brought, brought) / count
-        doubt[first:last] = np.sqrt(np.maximum(0.0, square - mean2) / (count * np.maximum(mean2, DARK)))
+        doubt_gathers(incident, doubt[first:last])
         part = CacheRecords.empty(last - first)
         summarize_gather(
             points, first, strata, settings.irradiance_cache_tolerance, incident, distance,
@@ -195,10 +191,12 @@ def gather_grids(
 def index_records(records: CacheRecords, tolerance: float) -> IrradianceCache:
     """Clamp neighbours' radii to each other (which writes to `records`) and list which reach where."""
     grid = _list_records(records, tolerance)
+    before, pending = records.radius.copy(), np.ones(len(records.radius), np.uint8)
     for _ in range(2):
-        if not clamp_neighbours(records, grid, tolerance):
-            break
-    return IrradianceCache(records, _list_records(records, tolerance))
+        clamp_neighbours(records, grid, tolerance, pending)
+    if (records.radius < before).any():
+        grid = _list_records(records, tolerance)
+    return IrradianceCache(records, grid)
 
 
 def _list_records(records: CacheRecords, tolerance: float) -> CacheGrid:
