@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,10 +23,20 @@ EMISSION_STREAM = 2
 EVERYWHERE, AIMED = 0, 1
 FIRST_HIT, CAUSTIC, BOUNCED = 0, 1, 2
 ALL_HISTORIES: U1 = np.ones(3, np.uint8)
+# After so many surfaces few photons of a chunk are left: those of all chunks go on together, or they would cost more by
+# the call than by the photon.
+LEAD = 8
 # Levels of a tree that are grown one after another, so that threads share the work.
 SHARED_LEVELS = 4
 # A map that is not full after this many emissions for each photon it should hold stays as it is.
 EMITTED_PER_STORED = 50
+
+
+class Flight(NamedTuple):
+    """Photons under way: rays, and history (N,) u1 as it is stored with them."""
+
+    rays: Rays
+    history: U1
 
 
 @dataclass(frozen=True)
@@ -212,11 +225,31 @@ def _trace_round(
     context: Context, aim: Aim, family: np.uint64, first_number: int, count: int, wanted: U1
 ) -> list[tuple[Photons, int]]:
     """Emit `count` photons from number `first_number` on: (photons, emitted up to the chunk's end) a chunk."""
+    pool, bounces = context.pool, context.settings.max_photon_bounces + 1
 
-    def chunk(first: int, last: int) -> tuple[Photons, int]:
-        return trace_photons(context, aim, family, first_number + first, last - first, wanted), first_number + last
+    def lead(first: int, last: int) -> tuple[int, list[Photons], Flight]:
+        flight = emit(context, aim, family, first_number + first, last - first)
+        return first_number + last, *follow(context, flight, wanted, min(LEAD, bounces))
 
-    return context.pool.map_chunks(chunk, count, 1)
+    ends, parts, flights = zip(*pool.map_chunks(lead, count, 1), strict=True)
+    rays, history = pool.join([left.rays for left in flights]), np.concatenate([left.history for left in flights])
+
+    def go_on(first: int, last: int) -> list[Photons]:
+        flight = Flight(Rays(*rows(rays, slice(first, last))), history[first:last])
+        return follow(context, flight, wanted, bounces - LEAD)[0]
+
+    late = in_order_of_emission(itertools.chain(*pool.map_chunks(go_on, len(history), 1)), first_number, count)
+    begins = (first_number, *ends[:-1])
+
+    def put_in_order(first: int, last: int) -> list[tuple[Photons, int]]:
+        ordered = []
+        for i in range(first, last):
+            own = slice(*np.searchsorted(late.number, (begins[i], ends[i])))
+            all_parts = (*parts[i], Photons(*rows(late, own)))
+            ordered.append((in_order_of_emission(all_parts, begins[i], ends[i] - begins[i]), ends[i]))
+        return ordered
+
+    return list(itertools.chain(*pool.map_chunks(put_in_order, len(ends), pool.chunk_rays)))
 
 
 def trace_photons(
@@ -226,24 +259,40 @@ def trace_photons(
 
     wanted (3,) u1 tells which histories are stored; what can no longer have one of them is not followed.
     """
-    settings = context.settings
+    flight = emit(context, aim, family, first_number, count)
+    parts, _ = follow(context, flight, wanted, context.settings.max_photon_bounces + 1)
+    return in_order_of_emission(parts, first_number, count)
+
+
+def emit(context: Context, aim: Aim, family: np.uint64, first_number: int, count: int) -> Flight:
+    """Photons number first_number ... as they leave the lights."""
     rays = Rays.empty(count)
     emit_photons(context.tables, aim, context.sobol, family, first_number, rays)
-    history = np.zeros(count, np.uint8)
+    return Flight(rays, np.zeros(count, np.uint8))
+
+
+def follow(context: Context, flight: Flight, wanted: U1, surfaces: int) -> tuple[list[Photons], Flight]:
+    """Follow photons over as many surfaces: what is stored at each, and those that go on from the last."""
+    rays, history = flight
     parts: list[Photons] = []
-    for _ in range(settings.max_photon_bounces + 1):
+    for _ in range(surfaces):
         going = len(rays.owner)
         if going == 0:
             break
         hits = context.intersector.closest(rays.origin, rays.direction)
         stored, following, following_history = Photons.empty(going), Rays.empty(going), np.empty(going, np.uint8)
         stored_count, ray_count = scatter(
-            context.tables, settings.store_at_every_bounce, context.sobol, wanted, rays, history, hits,
+            context.tables, context.settings.store_at_every_bounce, context.sobol, wanted, rays, history, hits,
             stored, following, following_history,
         )  # fmt: skip
         parts.append(Photons(*rows(stored, slice(0, stored_count))))
         rays = Rays(*rows(following, slice(0, ray_count)))
         history = following_history[:ray_count]
+    return parts, Flight(rays, history)
+
+
+def in_order_of_emission(parts: Iterable[Photons], first_number: int, count: int) -> Photons:
+    """Photons of `count` emissions from number `first_number` on, each one's in the order of parts."""
     photons = Photons(*map(np.concatenate, zip(Photons.empty(0), *parts, strict=True)))
     # In as few bits as will do: numpy sorts 16 and fewer in linear time.
     number = (photons.number - first_number).astype(np.min_scalar_type(count))
