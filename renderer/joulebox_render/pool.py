@@ -99,7 +99,7 @@ class WorkerPool:
                 for column, target in zip(part, whole, strict=True):
                     target[end - len(column) : end] = column
 
-        self.map_chunks(copy, len(parts), self.chunk_rays)
+        self.map_chunks(copy, len(parts), -(-int(ends[-1]) // len(parts)))
         return whole
 
     def _cut(self, count: int, least: int, most: int) -> list[tuple[int, int]]:
