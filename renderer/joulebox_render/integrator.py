@@ -24,7 +24,7 @@ from joulebox_render.stages.precomputed import Illumination, IrradianceRecords, 
 from joulebox_render.stages.shadow_photons import ShadowMap, build_shadow_map
 
 # Eye rays a band: so many that threads seldom wait for each other at the end of one, in some tens of megabytes.
-BAND_RAYS = 262_144
+BAND_RAYS = 524_288
 
 
 @dataclass(frozen=True)
