@@ -12,6 +12,7 @@ from joulebox_render import integrator
 from joulebox_render.errors import StoppedError
 from joulebox_render.pool import WorkerPool
 from joulebox_render.settings import Settings
+from joulebox_render.stages import photon_map
 
 SIZE: dict[str, Any] = {
     "width": 20, "height": 13, "samples_per_pixel": 2, "shadow_rays": 5, "final_gather_rays": 7,
@@ -50,6 +51,23 @@ def test_threads_chunks_and_bands_do_not_show(
         np.testing.assert_array_equal(other.pixels, first.pixels)
         assert other.pixel_sha256 == first.pixel_sha256
         assert other.photons == first.photons
+
+
+def test_photons_do_not_depend_on_when_those_left_go_on_together(
+    open_session: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From their emission on, after one surface, or never: the same photons in the same order."""
+    session = open_session("cornell-spheres", chunk_rays=500, **{**SIZE, "threads": 2})
+    usual = photon_map.emit_and_store(session.context)
+    for lead in (0, 1, 1000):
+        monkeypatch.setattr(photon_map, "LEAD", lead)
+        emission = photon_map.emit_and_store(session.context)
+        for ours, theirs in (
+            (emission.global_photons, usual.global_photons), (emission.caustic_photons, usual.caustic_photons),
+        ):  # fmt: skip
+            assert len(ours.number) >= 1500
+            for column, expected in zip(ours, theirs, strict=True):
+                np.testing.assert_array_equal(column, expected)
 
 
 @pytest.mark.parametrize("method", METHODS)

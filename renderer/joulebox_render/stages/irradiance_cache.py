@@ -7,6 +7,7 @@ pixels nor the number of threads shows in the picture.
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import NamedTuple
 
@@ -81,6 +82,7 @@ class Strata(NamedTuple):
     spoke: F8
 
     @classmethod
+    @functools.cache
     def of(cls, polar: int, azimuth: int) -> Strata:
         """The grid's numbers."""
         middle, edge = (np.arange(polar) + 0.5) / polar, np.arange(polar + 1) / polar
@@ -216,7 +218,7 @@ def _cell_side(reach: F8) -> float:
     """Side of a cell [m] for records that reach so far (R,) [m]: two median reaches, or more where few reach so much
     farther (a horizon) that they would fill space with entries.
     """
-    side = 2.0 * float(np.median(reach))
+    side = 2.0 * float(np.partition(reach, len(reach) // 2)[len(reach) // 2])
     while float(((2.0 * reach / side + 1.0) ** 3).sum()) > MOST_ENTRIES * len(reach):
         side *= 2.0
     return side
