@@ -35,7 +35,7 @@ GATHER_LIMIT_US = 5.0
 SCALING_LIMIT = 0.9
 SHORTEST_STAGE_S = 0.05
 # Pictures by one and by two threads, in turns with bare rays: so many that of each some find both cores undisturbed.
-THREAD_TURNS = 15
+THREAD_TURNS = 40
 
 
 def known(values: Mapping[str, Any]) -> dict[str, Any]:
