@@ -20,7 +20,7 @@ from typing import NamedTuple
 from joulebox_render.bench import machine, shrink
 from joulebox_render.errors import RenderError
 
-from . import difference_speed, gains, growth, mitsuba_side, rates, rivals
+from . import difference_speed, gains, growth, mitsuba_side, rates, rivals, threads
 from .candidates import Measured, cost_ratio, is_preset, measure_front
 from .references import load_reference
 from .table import Row, goals, markdown_table
@@ -77,7 +77,7 @@ def measure(run: Run, groups: Sequence[str]) -> tuple[list[Row], list[Measured]]
     if "gains" in groups:
         rows += [*gains.sampler_rows(run.say), *gains.shadow_rows(run.say, run.film), gains.hierarchy_row(run.say)]
     if "threads" in groups:
-        rows.append(rates.threads_row(run.say, run.film))
+        rows.append(threads.threads_row(run.say, run.film))
     if "growth" in groups:
         rows.append(growth.pixels_row(run.say, *((16, 4) if run.size else ())))
         rows.append(growth.triangles_row(run.say, run.film))

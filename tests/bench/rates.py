@@ -1,16 +1,12 @@
-"""What stages make of their rays and photons: ratios to bare embreex on the very same rays, and threads."""
+"""What stages make of their rays and photons: ratios to bare embreex on the very same rays."""
 
 from __future__ import annotations
 
 import statistics
-import time
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from collections.abc import Callable, Mapping
 from typing import Any
 
-from joulebox_render.bench import RATE_SCENE, Query, record_queries, stage_rates
-from joulebox_render.pool import usable_cores
+from joulebox_render.bench import RATE_SCENE, stage_rates
 from joulebox_render.session import Session
 from joulebox_render.settings import Settings, make_settings
 from joulebox_render.stages.eye import look
@@ -32,10 +28,6 @@ GATHER_SETTINGS = {
     "global_photons": 250_000, "gather_count": 100, "gather_distance_m": 0.02, "photon_spacing": 0,
 }  # fmt: skip
 GATHER_LIMIT_US = 5.0
-SCALING_LIMIT = 0.9
-SHORTEST_STAGE_S = 0.05
-# Pictures by one and by two threads, in turns with bare rays: so many that of each some find both cores undisturbed.
-THREAD_TURNS = 40
 
 
 def known(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -72,61 +64,3 @@ def gather_row(say: Callable[[str], None], size: Mapping[str, Any]) -> Row:
         "100-nearest gather, 250k photons, 0.02 m, coherent queries", f"<= {GATHER_LIMIT_US:g} us CPU a query",
         f"{each_us:.2f} us", each_us <= GATHER_LIMIT_US,
     )  # fmt: skip
-
-
-def threads_row(say: Callable[[str], None], size: Mapping[str, Any], turns: int = THREAD_TURNS) -> Row:
-    """How much faster two threads are than one, stage by stage, over how much faster they make bare embreex."""
-    what = f"threads: {RATE_SCENE}, 1 to 2, wall time, stages over {1000 * SHORTEST_STAGE_S:.0f} ms"
-    goal = f">= {SCALING_LIMIT} of raw embreex' own scaling in the same run"
-    if usable_cores() < 2:
-        return Row.not_run(what, goal, "one core")
-    say("one thread against two")
-    stages: dict[str, dict[int, list[float]]] = {}
-    bare: dict[str, dict[int, list[float]]] = {}
-    with ExitStack() as opened:
-        sessions = {
-            threads: opened.enter_context(Session(RATE_SCENE, make_settings({"threads": threads}, size)))
-            for threads in (1, 2)
-        }
-        embree = getattr(sessions[1].context.intersector, "embree", None)
-        if embree is None:
-            return Row.not_run(what, goal, NO_EMBREE)
-        queries = record_queries(sessions[1])
-        for threads, session in list(sessions.items()) * turns:
-            for name, row in session.render().clock.totals().items():
-                stages.setdefault(name, {1: [], 2: []})[threads].append(row["time_s"])
-            for name in queries:
-                bare.setdefault(name, {1: [], 2: []})[threads].append(bare_time_s(embree, queries[name], threads))
-    return scaling_row(what, goal, speedups(stages), speedups(bare))
-
-
-def bare_time_s(embree: Any, queries: Sequence[Query], threads: int) -> float:
-    """Wall time of bare embreex calls of the queries, spread over threads batch by batch [s]."""
-
-    def ask(query: Query) -> None:
-        if query.limit is None:
-            embree.run(query.origin, query.direction, query="INTERSECT", output=True)
-        else:
-            embree.run(query.origin, query.direction, dists=query.limit.copy(), query="OCCLUDED")
-
-    with ThreadPoolExecutor(threads) as pool:
-        start = time.perf_counter()
-        list(pool.map(ask, queries))
-        return time.perf_counter() - start
-
-
-def speedups(times: Mapping[str, Mapping[int, Sequence[float]]]) -> dict[str, float]:
-    """Time on one thread over time on two, of whatever takes long enough; the least of the turns, for noise adds."""
-    least = {name: (min(row[1]), min(row[2])) for name, row in times.items()}
-    return {name: one / two for name, (one, two) in least.items() if one > SHORTEST_STAGE_S}
-
-
-def scaling_row(what: str, goal: str, stages: Mapping[str, float], bare: Mapping[str, float]) -> Row:
-    """Each stage's speed-up over that of its own rays in bare embreex, or of all rays where it traces too few."""
-    if not stages or not bare:
-        return Row.not_run(what, goal, "no stage takes long enough")
-    common = statistics.median(bare.values())
-    by_stage = {name.partition(",")[0]: value for name, value in bare.items()}
-    shares = {name: value / by_stage.get(name, common) for name, value in stages.items()}
-    told = ", ".join(f"{name} {share:.2f}" for name, share in shares.items())
-    return Row(what, goal, f"{told} (bare embreex {common:.2f}x)", min(shares.values()) >= SCALING_LIMIT)

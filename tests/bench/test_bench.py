@@ -11,6 +11,7 @@ from joulebox_render.session import Session
 from joulebox_render.settings import make_settings
 from joulebox_server.analysis import opinions
 
+from bench import threads
 from bench.candidates import Measured, name_of
 from bench.mitsuba_side import llvm_version
 from bench.picture_error import brightness_error, cost_at, flip, relative_mse
@@ -181,3 +182,19 @@ def test_the_table_says_what_was_not_run() -> None:
 def test_settings_in_words() -> None:
     assert name_of({"preset": "fine"}) == "fine"
     assert name_of({"preset": "draft", "shadow_rays": 4}) == "draft, shadow_rays=4"
+
+
+def test_scaling_is_told_against_the_stages_own_rays() -> None:
+    """1.6x of bare rays that gain 2x or, where a stage traces too few of its own, of the rays in the middle."""
+    stages = threads.speedups({"direct": (0.16, 0.1), "photon_map": (0.096, 0.06), "caustics": (0.04, 0.04)})
+    row = threads.scaling_row("threads", ">= 0.9", stages, {"direct, shadow": 2.0, "indirect, gather": 1.6, "x": 1.6})
+    assert row.measured == "direct 0.80, photon_map 1.00 (bare embreex 1.60x)"
+    assert row.met is False
+
+
+def test_threads_are_timed_in_processes_of_their_own() -> None:
+    """A picture so small that no stage takes 50 ms: the child ran, and the row says why it tells nothing."""
+    said: list[str] = []
+    row = threads.threads_row(said.append, {"width": 12, "height": 12, "global_photons": 500}, processes=1, turns=1)
+    assert "no stage takes long enough" in row.measured
+    assert said == ["one thread against two, process 1 of 1"]
