@@ -23,7 +23,7 @@ from joulebox_render.stages.photon_map import PhotonMap, build_photon_map, emit_
 from joulebox_render.stages.precomputed import Illumination, IrradianceRecords, precompute_irradiance
 from joulebox_render.stages.shadow_photons import ShadowMap, build_shadow_map
 
-# Eye rays a band: so many that threads seldom wait for each other at the end of one, in some tens of megabytes.
+# Eye rays a band: so many that threads seldom wait for each other at the end of one, in about a hundred megabytes.
 BAND_RAYS = 524_288
 
 

@@ -53,8 +53,8 @@ RECORD_STREAM = 3
 MARGIN = 16
 # Of the photon map's resolution: no ray longer than this is a short one (kernels.gathering.short_ray).
 SURELY_LONG = 1.5
-# Cells that are remembered while records mark them; in the order of their tree most are marked again soon.
-RECENT_CELLS = 4096
+# Records whose cells are remembered while others mark theirs; in the order of their tree most are marked again soon.
+RECENT_RECORDS = 128
 # How far above the surface feelers run, in cells: a wall's foot is felt, a curve of the surface is not.
 FEELER_LIFT = 0.05
 
@@ -304,9 +304,11 @@ def mark_around(pool: WorkerPool, tree: Tree, table: IrradianceTable, lift_m: fl
     lattice = (2 * steps + 1) ** 2
 
     def chunk(first: int, last: int) -> MarkedCells:
-        cells, recent = MarkedCells.empty((last - first) * lattice), np.full(RECENT_CELLS, NO_CELL)
+        cells = MarkedCells.empty((last - first) * lattice)
+        recent = np.full(1 << (RECENT_RECORDS * lattice).bit_length(), NO_CELL)
         position, normal = tree.position[first:last], tree.normal[first:last]
         count = mark_cells(table, position, normal, lift_m, steps, recent, cells)
-        return MarkedCells(*rows(cells, slice(0, count)))
+        # Copied, as a view would keep the room for all mentions.
+        return MarkedCells(*map(np.copy, rows(cells, slice(0, count))))
 
     return pool.join(pool.map_chunks(chunk, len(tree.position), lattice))

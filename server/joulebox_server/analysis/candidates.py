@@ -45,7 +45,7 @@ Known = tuple[list[Candidate], list[Candidate]]
 def candidates(tradeoff: Tradeoff, axis: Axis) -> Known:
     """Every point that has both a cost and a difference; and every combination of their values that was never run.
 
-    Where there are enough points, what was measured of one is steadied by what was measured of all others, and
+    Where there are enough points, what was measured of one is steadied by what was measured of others, and
     combinations can be predicted; otherwise points stand for themselves and nothing is predicted.
     """
     surrogate = Surrogate(tradeoff, axis)
